@@ -75,7 +75,7 @@ class ContactContext:
     turn rad; p, n, t (3): contact point, normal and feed in the blade frame; e, belt_direction, n_base, axis (3): base frame;
     R_flange (3, 3), R_blade (3, 3): in the base frame; s m; setpoint N, feed m/s, belt m/s; time s in the run, clock s in the
     campaign; ground_before; warm, wheel_warm K above the reference; travel: sign of the motion along the pass (+1 with increasing
-    s); stroke_sign: sign of the flange's stroke rate (+1: it is pressed in); radius m, friction of the cell; normal_stiffness
+    s); radius m, friction of the cell; normal_stiffness
     N/m: dF per m of overlap; friction_deflection m: by how much more the parts give way per unit of the friction coefficient;
     lever m: height of the contact over the clamp's plane; joint_give (6) N m^2: by how many m the contact gives per rad/(N m) of
     each joint; push_axis (3): direction in which the flange pushes the blade, base frame; clamp_deflection m: how much of the
@@ -110,7 +110,6 @@ class ContactContext:
     warm: ca.SX
     wheel_warm: ca.SX
     travel: ca.SX
-    stroke_sign: ca.SX
     radius: float
     friction: float
     normal_stiffness: ca.SX
@@ -125,22 +124,25 @@ class ContactContext:
 
 @dataclass(frozen=True)
 class LogRows:
-    """A log in time order for effects that remember: run (n,), time s, s m, F N and d_wheel m of the model, stiffness N/m
-    (dF per m of overlap) and wheel_share (share of that compliance that is the wheel's), fn and ft as predicted N, contact
-    (n,), travel (n,), feed m/s, clock s or None.
+    """A log in time order for effects that remember: run (n,), time s, s m, F N, d_wheel and d_flange m of the model, stiffness
+    N/m (dF per m of overlap), wheel_share and flange_share (shares of that compliance that are theirs), fn and ft as predicted N,
+    contact (n,), travel (n,), feed m/s, clock s or None; stroke m: d_flange.
 
-    What remembers is linear in the forces: F, fn and ft may be columns (n, k) of changes, and the hook gives (n, k) of each."""
+    A hook gives what F, fn, ft and stroke make of it, or, where these are columns (n, k) of small changes, what they change."""
 
     run: Array
     time: Array
     s: Array
     F: Array
     d_wheel: Array
+    d_flange: Array
     stiffness: Array
     wheel_share: Array
+    flange_share: Array
     fn: Array
     ft: Array
     contact: Array
     travel: Array
     feed: Array
     clock: Array | None
+    stroke: Array

@@ -105,6 +105,7 @@ class Effect:
     normal force reading alone; shear (1, m) N added to the tangential reading alone; along (n, m) N of the normal reading,
     along_shear (n, m) N of the tangential one, for what depends on the log before (delays, relaxation), in NumPy.
 
+    own_size(a): scanned values with which an effect that is linear only at a given size acts as large as its coefficients are.
     doubt(a, sd, scanned): why fitted coefficients a (m,) with standard deviations sd (m,) cannot be this effect although each is
     within its range, in words; empty where they can.
     """
@@ -132,6 +133,7 @@ class Effect:
     along: AlongHook | None = None
     along_shear: AlongHook | None = None
     symbolic: tuple[str, ...] = ()
+    own_size: Callable[[Array], Scanned] | None = None
     doubt: Callable[[Array, Array, Scanned], str] | None = None
 
     def __reduce__(self) -> tuple[Any, ...]:

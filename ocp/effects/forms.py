@@ -129,14 +129,19 @@ def in_units(size: Parameter, unit: float, of: Callable[[int, Surroundings], flo
 
 
 def late(size: Parameter, about: Sequence[float], least: float, shifted: Callable[[LogRows, Array, float], Array]) -> Form:
-    """Forces that come late by `size`: their shift is exact at the scanned sizes `about` and to first order about them."""
+    """Forces that come late by `size`: their shift is exact at the sizes `about`, to first order about them."""
+
+    def own_size(a: Array) -> Scanned:
+        return {"size": max(abs(float(a[0])), least)}
+
     form = proportional(size)
     back = form["coefficients_of"]
     return form | {
-        "coefficients_of": lambda values: (back(values)[0], {"about": max(abs(values[size.key]), least)}),
-        "scan": tried(about=about),
-        "along": lambda x, j, scanned: shifted(x, x.fn, scanned["about"]),
-        "along_shear": lambda x, j, scanned: shifted(x, x.ft, scanned["about"]),
+        "coefficients_of": lambda values: (back(values)[0], own_size(back(values)[0])),
+        "own_size": own_size,
+        "scan": tried(size=about),
+        "along": lambda x, j, scanned: shifted(x, x.fn, scanned["size"]),
+        "along_shear": lambda x, j, scanned: shifted(x, x.ft, scanned["size"]),
     }
 
 

@@ -18,7 +18,6 @@ ELSEWHERE = {
     "engine/evidence.py": {"RANK", "_LAMBDA"},
     "engine/kernels.py": {"SOFT", "LOADED", "RIPPLES"},
     "force/prediction.py": {"TOLERANCE"},
-    "force/logged_contact.py": {"MOVING"},
     "force/waves.py": {"HIGHEST", "SHORTEST"},
     "force/fit.py": {"CHANGED"},
     "foresee/design.py": {"FREE_LIMIT"},

@@ -15,7 +15,7 @@ from ocp.diagnose.force import shrinkage
 from ocp.diagnose.force.channel import ForceChannel, force_channel
 from ocp.diagnose.force.fit import ForceProblem, fit_effects
 from ocp.diagnose.force.logged_contact import logged_arm
-from ocp.diagnose.force.prediction import LogScene, predict_anew, predict_forces
+from ocp.diagnose.force.prediction import LogScene, predict_forces
 from ocp.diagnose.force.shrinkage import LaterGrinding, after_log, anticipated_grinding, from_grinding
 from ocp.diagnose.rules import RUN_SD
 from ocp.diagnose.verdict.shrinkage import Shrinkage
@@ -219,10 +219,10 @@ def test_what_cannot_be_computed_later_is_no_alternative_and_promises_nothing(wo
     after, calls = worn.channel.with_active((_wear(),)), count()
 
     def made(*given):
-        told = predict_anew(*given)
+        told = predict_forces(*given)
         return replace(told, fn=np.full_like(told.fn, np.nan)) if next(calls) % 3 == lost else told
 
-    monkeypatch.setattr(shrinkage, "predict_anew", made)
+    monkeypatch.setattr(shrinkage, "predict_forces", made)
     others = (Alternative(0.6, after.active), Alternative(0.4, ()))
     found = anticipated_grinding(worn.channel, after, others)
     assert (found is None) == (lost == 1)

@@ -43,7 +43,6 @@ def samples(seed=0):
         "clock": np.sort(rng.uniform(0, 3600, N)),
         "ground_before": rng.integers(0, 8, N) * 1.0,
         "wheel_warm": rng.uniform(0, 20, N),
-        "stroke_sign": rng.choice([-1.0, 1.0], N),
         "line": rng.integers(1, 4, N) * 1.0,
         "lever": rng.uniform(0.01, 0.08, N),
         "push_axis": unit(N),
@@ -68,10 +67,7 @@ def expected(name, v, x):
         # slopes[1] F = 0.7 d where indentation is a power of the force
         "wheel_stiffness": x["slopes"][:, 1] * F / wheel_law * (1 - (1 + v.get("scale", 0)) ** -wheel_law),
     }
-    push = {
-        "flange_friction": v.get("N", 0) * x["stroke_sign"],
-        "flange_gravity": -v.get("kg", 0) * 9.81 * x["push_axis"][:, 2] / np.sum(x["push_axis"] * x["n_base"], axis=1),
-    }
+    push = {"flange_gravity": -v.get("kg", 0) * 9.81 * x["push_axis"][:, 2] / np.sum(x["push_axis"] * x["n_base"], axis=1)}
     sensor = {
         "sensor_bias": v.get("N", 0) + zero,
         "sensor_drift": v.get("N_per_h", 0) * x["clock"] / 3600,
@@ -142,7 +138,7 @@ def test_a_profile_as_large_as_its_prior_is_as_large_as_real_ones_get():
 
 def test_every_effect_on_forces_is_covered():
     assert set(ON_CONTACT) | set(ALONG) == {name for name, e in library().items() if e.on_contact}
-    assert ALONG == ["path_lag", "time_delay", "wheel_relaxation"]
+    assert ALONG == ["flange_friction", "path_lag", "time_delay", "wheel_relaxation"]
 
 
 def test_a_shifted_blade_and_a_shifted_wheel_change_the_overlap_by_what_they_come_nearer():
@@ -175,7 +171,9 @@ def log(n=400):
     fn = 20 + np.sin(60 * s)
     load = np.where(contact, 20.0, 0.0)
     one = np.ones(n)
-    return LogRows(run, time, s, load, 1e-4 * one, 5e3 * one, 0.1 * one, fn, 0.3 * fn, contact, travel, feed, None)
+    shares = 0.1 * one, 0.8 * one
+    stroke = 1e-4 * np.cos(0.5 * np.pi * time)
+    return LogRows(run, time, s, load, 1e-4 * one, stroke, 5e3 * one, *shares, fn, 0.3 * fn, contact, travel, feed, None, stroke)
 
 
 def test_a_delay_shows_the_force_of_before_and_a_lag_that_of_behind():
@@ -185,14 +183,14 @@ def test_a_delay_shows_the_force_of_before_and_a_lag_that_of_behind():
         s = x.s - x.travel * x.feed * delay
         # A log does not know what was before its first row.
         known = x.time >= delay
-        change = late.along(x, 0, {"about": delay})[:, 0] * delay
+        change = late.along(x, 0, {"size": delay})[:, 0] * delay
         assert change[known] == pytest.approx((20 + np.sin(60 * s) - x.fn)[known], abs=2e-4)
-        assert late.along_shear(x, 0, {"about": delay})[:, 0] * delay == pytest.approx(0.3 * change, abs=1e-12)
+        assert late.along_shear(x, 0, {"size": delay})[:, 0] * delay == pytest.approx(0.3 * change, abs=1e-12)
     behind = library()["path_lag"]
     for lag in (1e-4, 5e-4):
         s = x.s - x.travel * lag
         known = x.time >= lag / 0.02 + 0.02
-        change = behind.along(x, 0, {"about": lag})[:, 0] * lag
+        change = behind.along(x, 0, {"size": lag})[:, 0] * lag
         assert change[known] == pytest.approx((20 + np.sin(60 * s) - x.fn)[known], abs=2e-4)
         # The same distance at half the speed is twice the time.
         assert np.abs(change[x.run == 1]).max() == pytest.approx(np.abs(change[x.run == 0][120:]).max(), rel=0.1)
@@ -211,6 +209,31 @@ def test_rubber_lets_go_as_a_standard_linear_solid():
     assert library()["wheel_relaxation"].along(alone, 0, {"tau": 0.5})[:, 0].tolist() == [0.0]
     off = replace(x, F=np.where(x.run == 1, np.nan, x.F))
     assert not np.isfinite(library()["wheel_relaxation"].along(off, 0, {"tau": 0.5})).all()
+
+
+def test_a_flange_that_sticks_lets_go_at_once_and_is_held_again_over_its_limit():
+    x, sticks = log(), library()["flange_friction"]
+    held = sticks.along(x, 0, {"turn_N": 0.5})[:, 0] / 0.8
+    assert (held[~x.contact] == 0).all() and held[x.run == 1][0] == pytest.approx(1.0)
+    push = 5e3 / (0.8 * 0.2) * x.stroke / 0.5  # what it would take to hold it, over the limit
+    for own in (x.run == 1, (x.run == 0) & x.contact):
+        rest, built = held[own], push[own] - push[own][0]  # from touching, which has pressed it in, it extends
+        down = np.flatnonzero(np.diff(built) > 0)[0] + 1 if (np.diff(built) > 0).any() else len(built)
+        goes = np.where(built > -1.0, 1.0 + built, -np.tanh(-built - 1.0))[:down]
+        assert rest[:down] == pytest.approx(goes, abs=1e-9)
+    # Changes are those of small motions of the stroke, whatever its way.
+    rng = np.random.default_rng(2)
+    ways = np.cumsum(rng.normal(size=(len(x.run), 3)), axis=0) * 1e-6
+    told = sticks.along(replace(x, stroke=ways, F=np.zeros_like(ways)), 0, {"turn_N": 0.5})
+    for k in range(3):
+        ends = [replace(x, d_flange=x.d_flange + h * ways[:, k], stroke=x.stroke + h * ways[:, k]) for h in (1e-5, -1e-5)]
+        up, low = (sticks.along(one, 0, {"turn_N": 0.5})[:, 0] for one in ends)
+        assert told[:, k] == pytest.approx((up - low) / 2e-5, abs=2e-3 * np.abs(told[:, k]).max())
+    # No flange gives, none at a stop: nothing.
+    assert not sticks.along(replace(x, flange_share=np.full(len(x.run), 1e-4)), 0, {"turn_N": 0.5}).any()
+    a, scanned = sticks.coefficients_of({"N": 0.7})
+    assert scanned == {"turn_N": 0.7} and sticks.values(a, scanned) == {"N": 0.7, "turn_N": 0.7}
+    assert sticks.coefficients_of({"N": 0.7, "turn_N": 0.2})[1] == {"turn_N": 0.2}
 
 
 @pytest.mark.parametrize(("clocked", "turn"), [(0.0, 0.3), (1.0, 0.7)])

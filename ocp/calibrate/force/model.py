@@ -118,7 +118,7 @@ class ForceModel:
         ]
         state = [model.residual, slope, model.delta, model.parts, slopes, *place, ca.jacobian(ca.sum1(model.parts), friction)]
         by = ca.horzcat(slope, ca.jacobian(model.residual, model.theta), ca.jacobian(model.residual, model.q))
-        outputs = {"state": ca.vertcat(*state), "derivative": by.T}
+        outputs = {"state": ca.vertcat(*state), "derivative": by.T, "stroke": ca.jacobian(model.parts[0], model.theta).T}
         arguments = [model.q, model.F, model.w, model.theta, belt]
         known = {name: ca.substitute(ca.densify(o), friction, self.cell.wheel.friction) for name, o in outputs.items()}
         return {name: ColumnFunction(ca.Function(f"force_{name}", arguments, [o], {"cse": True})) for name, o in known.items()}
@@ -126,8 +126,8 @@ class ForceModel:
     def evaluate(self, kind: str, rows: PlacedRows, F: Array) -> Array:
         """Numbers (n, k) at forces F (n,) N: "state" (columns `STATE`: residual m and its slope in F m/N, overlap m, the four
         parts m and their slopes m/N, arc rad, lateral m, turn rad, tilts, relative curvature 1/m, T_base_blade by rows, give of
-        the joints N m^2, the parts' derivative in the friction m) or "derivative" (of the residual in F, theta (m) and q (6)). No
-        rows: (0, 0)."""
+        the joints N m^2, the parts' derivative in the friction m) "derivative" (of the residual in F, theta (m) and q (6)) or
+        "stroke" (the flange's derivative in theta at the same force). No rows: (0, 0)."""
         if not len(F):
             return np.empty((0, 0))
         if "_functions" not in vars(self) and len(F) >= WORTH_COMPILING:
@@ -177,6 +177,7 @@ class ForceModel:
             active = active[np.abs(step) > tolerance]
             if not len(active):
                 break
+        state[:, STATE["parts"]] += state[:, STATE["slopes"]] * (np.maximum(F, self.least_force) - old_F)[:, None]  # last steps
         touching = pressed | (F > 0)
         return np.where(touching, F, 0.0), state, np.where(touching, 1.0 / np.maximum(total, 1e-12), 0.0)
 

@@ -148,7 +148,6 @@ def effect_conditions(cell: Cell, log: ForceLog) -> Array:
     blocks = vars(c) | {
         "time": c.clock,
         "feed": np.maximum(c.feed, LEAST_FEED) if log.feed is None else c.feed,
-        "stroke_sign": 0.0,
         "ground_before": float(own.ground_before) if log.ground_before is None else c.ground_before,
         "warm": own.warm if log.temperature is None else c.warm,
         "wheel_warm": own.wheel_warm if log.wheel_temperature is None else c.wheel_warm,

@@ -27,7 +27,7 @@ from ocp.diagnose.force.fit import EffectFit, ForceProblem, fit_effects
 from ocp.diagnose.force.held_out import force_fold_errors, force_folds, predict_sealed_force
 from ocp.diagnose.force.log_averages import LogAverages, Store, log_averages
 from ocp.diagnose.force.logged_contact import logged_arm
-from ocp.diagnose.force.prediction import LogScene, M, acts_by_force, effect_derivatives, force_changes, predict_anew
+from ocp.diagnose.force.prediction import LogScene, M, acts_by_force, effect_derivatives, force_changes, predict_forces
 from ocp.diagnose.force.prior import arm_from_tracker, arm_with_effects, contact_prior, with_setpoints_read_off
 from ocp.diagnose.force.waves import SpliceTrains, likely_trains, picked_squares, telling_waves
 from ocp.diagnose.rules import LEAST_DIRECTION, LOOSE, ORDERS_APART
@@ -316,7 +316,7 @@ def predict_believed(cell: Cell, log: ForceLog, sealed: ForceLog, tracker: Path 
     problem = problem_of(setup, cell, log, None if tracker is None else arm_from_tracker(tracker, cell.path))
     fit, scene = fit_effects(problem), problem.scene
     there = scene.over(setup.rows[1], log_conditions(cell, sealed))
-    return predict_anew(there, fit.at.x).fn
+    return predict_forces(there, fit.at.x).fn
 
 
 def surroundings(problem: ForceProblem) -> Surroundings:

@@ -13,6 +13,7 @@ from ocp.calibrate.force.fit import RunOffsets
 from ocp.calibrate.force.log import ForceLog
 from ocp.calibrate.force.noise import channel_of
 from ocp.calibrate.force.whitener import Whitener
+from ocp.diagnose.engine.channel_system import effects_key
 from ocp.diagnose.force.prediction import (
     LogScene,
     Predicted,
@@ -29,7 +30,7 @@ from robots.gauss_newton import Minimum, Rule, Valley, minimise
 from robots.pose import Array
 
 BLOCKS = (300, 150)  # of a log that are kept of its rows, of fn and ft: whitened rows are averaged to about so many
-CHANGED = 0.1  # relative change of a signal's scatter from which its noise is estimated anew
+CHANGED = 0.1  # relative change of a signal's scatter, of an effect's size, from which it is estimated anew
 
 
 def refreshed(log: ForceLog, whitener: Whitener, residual: Array) -> Whitener:
@@ -171,12 +172,16 @@ def fit_effects(problem: ForceProblem, active: tuple[Active, ...] = (), start: E
     z = np.concatenate([np.zeros(r + o) if start is None else start.z[: r + o], units_of(active)])
     at = _at(problem, z, active, None if start is None else start.at)
     if start is None:
-        at = _at(problem, z, active, at)  # the stroke's sign, and with it friction, comes from a first prediction
         each = zip(signals(problem.log), problem.residuals(at, z), BLOCKS, strict=False)
         whiteners = tuple(Whitener.of(channel_of(log, rest), blocks) for log, rest, blocks in each)
     else:
         whiteners = start.whiteners
     found = _settled(_Point(problem, z, at, whiteners))
+    while effects_key(sized := as_sized(found.at.at.active)) != effects_key(found.at.at.active):
+        other = minimise(replace(found.at, at=_at(problem, found.at.z, sized, found.at.at)), np.ones(len(z)), RULE)
+        if not other.rested or replace(other.at, whiteners=found.at.whiteners).squares() >= found.at.squares():
+            break
+        found = other
     point = found.at
     rest = problem.residuals(point.at, point.z)
     anew = tuple(refreshed(log, w, e) for log, w, e in zip(signals(problem.log), point.whiteners, rest, strict=True))
@@ -189,6 +194,17 @@ def fit_effects(problem: ForceProblem, active: tuple[Active, ...] = (), start: E
     covariance = np.linalg.inv(information)[r + o :, r + o :] * np.outer(scale, scale)
     at = replace(at, active=with_coefficients(at.active, coefficients(at.active), covariance))
     return EffectFit(**vars(line), z=z, at=at, whiteners=whiteners, information=information, rested=found.rested)
+
+
+def as_sized(active: tuple[Active, ...]) -> tuple[Active, ...]:
+    """Effects at the size that was found, where they acted as of another."""
+    found = []
+    for one in active:
+        own = {} if one.effect.own_size is None else one.effect.own_size(one.a)
+        if any(abs(np.log(own[key] / one.scanned[key])) > CHANGED for key in own):
+            one = replace(one, scanned={**one.scanned, **own})
+        found.append(one)
+    return tuple(found)
 
 
 def units_of(active: tuple[Active, ...]) -> Array:
@@ -236,6 +252,11 @@ class _Point:
         """Whitened (N,)."""
         rest = self.problem.residuals(self.at, self.z)
         return np.concatenate([w.whole(r[:, None])[:, 0] for w, r in zip(self.whiteners, rest, strict=True)])
+
+    def squares(self) -> float:
+        """What the search lowers."""
+        left = self.residual()
+        return float(left @ left + self.z @ self.z)
 
     def linearised(self) -> tuple[Array, Array]:
         """Whitened residuals (N,) and sensitivities (N, k) to z."""

@@ -16,7 +16,7 @@ from ocp.calibrate.force.log import Flags, ForceLog, Index
 from ocp.calibrate.force.rows import log_conditions, prepare_force
 from ocp.diagnose.engine.channel_system import Fold, HeldOut, Predictable, Sealed, predictable
 from ocp.diagnose.force.fit import EffectFit, ForceProblem, fit_effects, linear_normal
-from ocp.diagnose.force.prediction import LogScene, Predicted, predict_anew
+from ocp.diagnose.force.prediction import LogScene, Predicted, predict_forces
 from ocp.diagnose.rules import FOLD_PARTS, FOLD_PIECE, FOLD_REST, FOLD_ROWS, RUN_SD
 from ocp.effects.effect import Effect
 from robots.pose import Array
@@ -150,7 +150,7 @@ def predict_sealed_force(
         measured = replace(own, scene=replace(own.scene, model=model, rows=setup.rows[0]))
         again = fit_effects(measured, fit.active, fit)
         effects = predictable(again.active, has).known
-        found.append((again, predict_anew(there, again.at.x, effects)))
+        found.append((again, predict_forces(there, again.at.x, effects)))
     (_, baseline), (fit, corrected) = found
     parted = predictable(fit.active, has)
     setpoint = scene.cell.flange.setpoint if scene.cell.flange is not None else 0.0
@@ -163,7 +163,7 @@ def _unshown(scene: LogScene, fit: EffectFit, parted: Predictable) -> float:
     """Mean square N^2 of what the unknown ones of the active effects do to the normal reading in the log."""
     if not parted.unknown:
         return 0.0
-    ends = [predict_anew(scene, fit.at.x, active).fn for active in (fit.active, parted.known)]
+    ends = [predict_forces(scene, fit.at.x, active).fn for active in (fit.active, parted.known)]
     return float(np.mean((ends[1] - ends[0])[scene.rows.contact] ** 2))
 
 

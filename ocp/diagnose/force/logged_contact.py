@@ -26,7 +26,6 @@ from robots.pose import Array
 
 PLACE = CONTACT_LAYOUT.places
 _AT = RowLayout(tuple((name, len(names)) for name, names in BLOCKS.items())).places  # of theta
-MOVING = 5e-6  # m/s of stroke below which the flange stands: what rounding of a log's columns alone makes
 
 
 @dataclass(frozen=True)
@@ -63,7 +62,7 @@ def samples_of(
 ) -> ContactSamples:
     """Samples of rows in contact at forces F (n,) N with their state (n, 34); all of them in the order of `rows`.
 
-    Where theta turns the wheel's axis or shifts the blade the frames follow. `stroke_sign` is 0 until `with_stroke_sign`.
+    Where theta turns the wheel's axis or shifts the blade the frames follow.
     """
     base, theta, wheel, c = rows.base, rows.theta, cell.wheel, conditions
     T, w = state[:, STATE["T"]].reshape(-1, 4, 4), base.waypoint
@@ -83,19 +82,11 @@ def samples_of(
     blocks: dict[str, Any] = {name: state[:, STATE[name]] for name in of_state} | {name: getattr(c, name) for name in of_log}
     blocks |= {"F": F, "p": w[:, :3], "n": w[:, 3:6], "t": w[:, 6:9], "e": e, "n_base": n_base, "axis": axis, "line": c.line}
     blocks |= {"R_flange": flange.reshape(-1, 9), "R_blade": R.reshape(-1, 9), "belt_direction": np.cross(axis, e)}
-    blocks |= {"normal_stiffness": stiffness, "push_axis": _push_axis(cell, flange, n_base), "stroke_sign": 0.0}
+    blocks |= {"normal_stiffness": stiffness, "push_axis": _push_axis(cell, flange, n_base)}
     blocks["lever"] = np.abs(w[:, :3] @ cell.workpiece.clamp_normal - cell.workpiece.clamp_offset)
     blocks |= {"q": base.q}
     blocks["clamp_deflection"] = F / cell.workpiece.clamp_stiffness
     return ContactSamples(CONTACT_LAYOUT.stack(len(F), blocks))
-
-
-def with_stroke_sign(samples: ContactSamples, run: Array, time: Array) -> ContactSamples:
-    """Samples with the sign of the flange's stroke rate, +1 where it is pressed in, 0 where it stands."""
-    out = ContactSamples(samples.values.copy())
-    rate = _smooth_rate(run, time, samples.at("parts")[:, 0])
-    out.put("stroke_sign", np.where(np.abs(rate) > MOVING, np.sign(rate), 0.0))
-    return out
 
 
 def _push_axis(cell: Cell, R_flange: Array, n: Array) -> Array:
@@ -112,21 +103,6 @@ def _blade_turn(r: Array) -> Array:
     S[:, 0, 1], S[:, 0, 2], S[:, 1, 2] = -r[:, 2], r[:, 1], -r[:, 0]
     S = S - S.transpose(0, 2, 1)
     return np.asarray(np.eye(3) + S + 0.5 * S @ S)
-
-
-def _smooth_rate(run: Array, time: Array, values: Array, window: int = 5) -> Array:
-    """Rate (n,) of values (n,) per second inside each run, smoothed over `window` samples: for signs of slow motions."""
-    out = np.zeros(len(values))
-    for r in np.unique(run):
-        at = np.flatnonzero(run == r)
-        if len(at) < 3 or not np.all(np.diff(time[at]) > 0):
-            continue
-        rate = np.gradient(values[at], time[at])
-        kernel = np.ones(min(window, len(at))) / min(window, len(at))
-        pad = len(kernel) // 2
-        padded = np.pad(rate, (pad, len(kernel) - 1 - pad), mode="edge")
-        out[at] = np.convolve(padded, kernel, mode="valid")
-    return out
 
 
 BLADE = tuple(NAMES.index(n) for n in ("blade_x", "blade_y", "blade_z", "blade_c", "blade_b", "blade_a"))

@@ -15,16 +15,7 @@ from ocp.calibrate.force.fit import BIAS
 from ocp.calibrate.force.log import Flags, Index
 from ocp.calibrate.force.model import PROBE, STATE, ForceModel, ForceRows, PlacedRows
 from ocp.calibrate.force.rows import LogConditions
-from ocp.diagnose.force.logged_contact import (
-    BLADE,
-    PLACE,
-    ContactSamples,
-    LoggedArm,
-    hook_columns,
-    logged_arm,
-    samples_of,
-    with_stroke_sign,
-)
+from ocp.diagnose.force.logged_contact import BLADE, PLACE, ContactSamples, LoggedArm, hook_columns, logged_arm, samples_of
 from ocp.diagnose.force.prior import NUISANCE, SHEAR_BIAS, SHEAR_GAIN
 from ocp.effects.context import LogRows
 from ocp.effects.effect import Active, Effect, Scanned
@@ -107,8 +98,7 @@ class Predicted:
 
 
 def predict_forces(scene: LogScene, x: Array, active: Sequence[Active] = (), near: Predicted | None = None) -> Predicted:
-    """Readings at nuisance x (`prior.NUISANCE`) and coefficients of `active`; Newton starts at `near`'s force, and the sign
-    of the flange's stroke is taken from there."""
+    """Readings at nuisance x (`prior.NUISANCE`) and coefficients of `active`; Newton starts at `near`'s force."""
     at, n, whole = scene.touching, len(scene.rows), (*scene.given, *active)
     rows = placed_rows(scene, x, whole)
     guess = rows.base.setpoint if near is None else near.F[at]
@@ -116,14 +106,11 @@ def predict_forces(scene: LogScene, x: Array, active: Sequence[Active] = (), nea
         guess = np.full(len(at), scene.model.law.process_force)
     same = near is not None and len(near.active) == len(active)
     known = near.stiffness[at] if near is not None and same else None
-    signs = None if near is None else near.samples.at("stroke_sign")[at]
     inside = scene.conditions.take(at)
 
     def extra(k: Index, F: Array, state: Array) -> Array:
         given = 1.0 / np.maximum(state[:, STATE["slopes"]].sum(axis=1), 1e-12)
         here = samples_of(scene.cell, rows.take(k), inside.take(k), F, state, given)
-        if signs is not None:
-            here.put("stroke_sign", signs[k])
         total = np.zeros(len(k))
         for one in bending:
             total += interference(scene.cell, one.effect, one.joint, [one.scanned], here)[0] @ one.a
@@ -135,7 +122,6 @@ def predict_forces(scene: LogScene, x: Array, active: Sequence[Active] = (), nea
     samples, F, stiffness = ContactSamples(scene.air.values.copy()), np.zeros(n), np.zeros(n)
     samples.values[at] = samples_of(scene.cell, rows, inside, force, state, stiff).values
     F[at], stiffness[at] = force, stiff
-    samples = with_stroke_sign(samples, np.where(scene.rows.contact, scene.conditions.run, -1), scene.conditions.time)
     fn, ft = _readings(scene, x, whole, samples, F)
     fn_slope, ft_slope = np.ones(n), scene.shear * (1.0 + x[SHEAR_GAIN])
     if any(a.effect.sensor is not None or a.effect.shear is not None for a in whole):
@@ -149,11 +135,6 @@ def predict_forces(scene: LogScene, x: Array, active: Sequence[Active] = (), nea
         add_n, add_t = remembered(scene, made, one.effect, one.joint, one.scanned)
         late_n, late_t = late_n + add_n @ one.a, late_t + add_t @ one.a
     return replace(made, fn=fn + late_n, ft=ft + late_t)
-
-
-def predict_anew(scene: LogScene, x: Array, active: Sequence[Active] = ()) -> Predicted:
-    """Readings from no prediction nearby: once more with the sign of the stroke that comes out."""
-    return predict_forces(scene, x, active, predict_forces(scene, x, active))
 
 
 def placed_rows(scene: LogScene, x: Array, active: Sequence[Active]) -> PlacedRows:
@@ -185,13 +166,14 @@ def interference(cell: Cell, effect: Effect, joint: int, scans: Sequence[Scanned
 
 def remembered(scene: LogScene, made: Predicted, effect: Effect, joint: int, scanned: Scanned) -> tuple[Array, Array]:
     """What an effect that remembers the log adds to both readings (n, m) N per unit coefficient."""
-    return _memory(scene, made, effect, joint, scanned, (made.F, *made.prompt), effect.size)
+    stroke = made.samples.at("parts")[:, 0]
+    return _memory(scene, made, effect, joint, scanned, (made.F, stroke, *made.prompt), effect.size)
 
 
-def carried(scene: LogScene, made: Predicted, changes: tuple[Array, Array, Array]) -> tuple[Array, Array]:
-    """What the memory of all that is active makes of changes (n, k) N of the force and of the contact's own share of both
-    readings: in both readings (n, k) N."""
-    normal, shear = np.zeros_like(changes[1]), np.zeros_like(changes[2])
+def carried(scene: LogScene, made: Predicted, changes: tuple[Array, Array, Array, Array]) -> tuple[Array, Array]:
+    """What the memory of all that is active makes of changes (n, k) of the force N, of the flange's stroke m and of the contact's
+    own share of both readings N: in both readings (n, k) N."""
+    normal, shear = np.zeros_like(changes[2]), np.zeros_like(changes[3])
     for one in remembering(scene, made):
         more = _memory(scene, made, one.effect, one.joint, one.scanned, changes, normal.shape[1])
         normal, shear = normal + one.a[0] * more[0], shear + one.a[0] * more[1]
@@ -204,25 +186,35 @@ def remembering(scene: LogScene, made: Predicted) -> list[Active]:
 
 
 def _memory(
-    scene: LogScene, made: Predicted, effect: Effect, joint: int, scanned: Scanned, forces: tuple[Array, Array, Array], count: int
+    scene: LogScene,
+    made: Predicted,
+    effect: Effect,
+    joint: int,
+    scanned: Scanned,
+    past: tuple[Array, Array, Array, Array],
+    count: int,
 ) -> tuple[Array, Array]:
-    """Memory (n, count) N in both readings of the force and of both readings (n,), or of columns (n, k) of their changes."""
+    """Memory (n, count) N in both readings of force, stroke and both readings (n,), or of columns (n, k) of their changes."""
     none = np.zeros((len(made.F), count))
     if effect.along is None and effect.along_shear is None:
         return none, none
     assert effect.size == 1, f"{effect.name}: what remembers has one coefficient"
     c, s = scene.conditions, made.samples
     slopes = s.at("slopes")
-    share = np.divide(slopes[:, 1], slopes.sum(axis=1), out=np.zeros(len(slopes)), where=slopes.sum(axis=1) > 0)
+    whole = slopes.sum(axis=1, keepdims=True)
+    share = np.divide(slopes, whole, out=np.zeros_like(slopes), where=whole > 0)
     same: dict[str, Any] = {name: getattr(c, name) for name in ("time", "s", "travel", "feed")}
     log = LogRows(
         run=c.run.astype(float),
-        F=forces[0],
+        F=past[0],
         d_wheel=s.at("parts")[:, 1],
+        d_flange=s.at("parts")[:, 0],
+        stroke=past[1],
         stiffness=made.stiffness,
-        wheel_share=share,
-        fn=forces[1],
-        ft=forces[2],
+        wheel_share=share[:, 1],
+        flange_share=share[:, 0],
+        fn=past[2],
+        ft=past[3],
         contact=c.contact.astype(float),
         clock=c.clock if "clock_s" in c.given else None,
         **same,
@@ -274,7 +266,10 @@ def nuisance_derivatives(scene: LogScene, at: Predicted, theta: Array) -> Both:
         force[:, :M] = theta
         own, shear = force.copy(), force * _shear(scene, at)[:, None]
         own[:, BIAS], shear[:, SHEAR_GAIN], shear[:, SHEAR_BIAS] = 1.0, scene.shear * at.F, 1.0
-        late_n, late_t = carried(scene, at, (force, own, shear))
+        stroke, rows = force * _soft(at), scene.touching
+        placed, held = PlacedRows(at.rows.base, at.rows.theta), np.maximum(at.F[rows], scene.model.least_force)
+        stroke[rows, :M] += scene.model.evaluate("stroke", placed, held)
+        late_n, late_t = carried(scene, at, (force, stroke, own, shear))
         fn, ft = fn + late_n, ft + late_t
     return fn, ft
 
@@ -292,7 +287,7 @@ def effect_derivatives(
         ft += hook_columns(scene.cell, effect, "shear", joint, scans, at.samples).swapaxes(0, 1)
     if remembering(scene, at) and force.any():
         own = force.reshape(len(force), -1)
-        late_n, late_t = carried(scene, at, (own, own, own * _shear(scene, at)[:, None]))
+        late_n, late_t = carried(scene, at, (own, own * _soft(at), own, own * _shear(scene, at)[:, None]))
         fn, ft = fn + late_n.reshape(fn.shape), ft + late_t.reshape(ft.shape)
     if effect.along is not None or effect.along_shear is not None:
         for v, scanned in enumerate(scans):
@@ -325,6 +320,11 @@ def acts_by_force(scene: LogScene, at: Predicted, effect: Effect) -> bool:
     """Whether an effect changes both readings by their slopes in the contact force and in no other way."""
     others = (effect.sensor, effect.shear, effect.along, effect.along_shear)
     return all(hook is None for hook in others) and not remembering(scene, at)
+
+
+def _soft(at: Predicted) -> Array:
+    """What the flange gives (n, 1) m per newton of the force."""
+    return np.asarray(at.samples.at("slopes")[:, :1])
 
 
 def _shear(scene: LogScene, at: Predicted) -> Array:

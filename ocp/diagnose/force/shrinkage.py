@@ -18,7 +18,7 @@ from ocp.diagnose.engine.channel_system import Channel, HeldOut
 from ocp.diagnose.engine.findings import Alternative
 from ocp.diagnose.force.channel import ForceChannel
 from ocp.diagnose.force.fit import linear_normal
-from ocp.diagnose.force.prediction import LogScene, predict_anew
+from ocp.diagnose.force.prediction import LogScene, predict_forces
 from ocp.diagnose.rules import BETWEEN_RUNS, LATER_FORCE, NEW_RECORDINGS, NO_GAP
 from ocp.diagnose.verdict.shrinkage import DRAWS, Shrinkage, drawn_errors, interval, unexplained
 from ocp.effects.effect import Active
@@ -58,8 +58,8 @@ def anticipated_grinding(before: ForceChannel, after: ForceChannel, others: Sequ
     later = [after_log(known, share, changing) for share in LATER_FORCE for changing in warmths]
     for conditions in (known, *later):
         there = _scene(after, conditions, rows)
-        old = predict_anew(there, before.fit.at.x, before.fit.active).fn
-        found = [predict_anew(there, m.fit.at.x, m.fit.active) for m in models]
+        old = predict_forces(there, before.fit.at.x, before.fit.active).fn
+        found = [predict_forces(there, m.fit.at.x, m.fit.active) for m in models]
         moved.append(np.stack([(made.fn - old)[touching] for made in found]))
         errors.append(linear_normal(models[0].problem, there, found[0])[touching])
     there_too = np.array([all(np.isfinite(one[k]).all() for one in moved) for k in range(len(models))])

@@ -24,7 +24,7 @@ from ocp.diagnose.engine.findings import Diagnosis, Name, Options, Ranked
 from ocp.diagnose.engine.linearisation import log_odds
 from ocp.diagnose.force.channel import ForceChannel, problem_of
 from ocp.diagnose.force.fit import BLOCKS, EffectFit, ForceProblem, linear, reading_information, signals, units_of
-from ocp.diagnose.force.prediction import nuisance_derivatives, predict_anew
+from ocp.diagnose.force.prediction import nuisance_derivatives, predict_forces
 from ocp.diagnose.force.prior import NUISANCE, NuisancePrior
 from ocp.diagnose.foresee.planned_tracker import PER_READING, SETTLING, arm_expected, default_poses, planned_channel
 from ocp.diagnose.foresee.separation import ProposedMeasurement, RivalPair, scans_of
@@ -109,7 +109,7 @@ def _unmeasured(
 ) -> tuple[ForceProblem, EffectFit]:
     """The problem with readings as predicted at nuisance z and these effects, and the fit that stands there."""
     x = problem.believed.mean + problem.believed.root @ z
-    at = predict_anew(problem.scene, x, active)
+    at = predict_forces(problem.scene, x, active)
     log = replace(problem.log, fn=at.fn, ft=None if problem.log.ft is None else at.ft)
     problem = replace(problem, log=log)
     whole = np.concatenate([z, np.zeros(problem.sizes[1]), units_of(active)])

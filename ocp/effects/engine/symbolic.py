@@ -21,7 +21,7 @@ from robots.robot import Robot
 
 # What effects see of an instant beside the model's own symbols.
 CONDITIONS = RowLayout.of(
-    "approach 6, s 1, feed 1, line 1, ground_before 1, time 1, clock 1, warm 1, wheel_warm 1, travel 1, stroke_sign 1, "
+    "approach 6, s 1, feed 1, line 1, ground_before 1, time 1, clock 1, warm 1, wheel_warm 1, travel 1, "
     "setpoint 1, belt 1, speed 6"
 )
 

@@ -58,7 +58,7 @@ class PassProblem:
     def conditions(self, cell: Cell) -> Array:
         """Columns `ocp.effects.engine.symbolic.CONDITIONS` of a cell with effects, (n, 24); (n, 0) without.
 
-        The flange holds its stroke and nothing is recorded: stroke rate and recorded speed are zero.
+        The flange holds its stroke and nothing is recorded: recorded speed is zero.
         """
         p, n, c = self.path, len(self.path.s), cell.conditions
         if not cell.effects:
@@ -66,7 +66,7 @@ class PassProblem:
         blocks: dict[str, Any] = {"s": p.start + p.s, "feed": p.feed, "line": float(p.line), "travel": float(self.seed.direction)}
         blocks |= {"approach": np.zeros((n, 6)) if self.approach is None else self.approach, "speed": np.zeros((n, 6))}
         blocks |= {name: float(getattr(c, name)) for name in ("ground_before", "time", "clock", "warm", "wheel_warm")}
-        blocks |= {"stroke_sign": 0.0, "belt": cell.wheel.belt_speed}
+        blocks |= {"belt": cell.wheel.belt_speed}
         blocks |= {"setpoint": cell.process.force if cell.flange is None else cell.flange.setpoint}
         return CONDITIONS.stack(n, blocks)
 
