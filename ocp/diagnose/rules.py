@@ -162,6 +162,10 @@ HOPELESS_FITS = 3
 """[fits] Diverged one after another, from which on no other name is fitted. Guards: minutes, where the contact that was logged
 is not the believed one (a gain of three). Reason: of 38 logs of development none had more than one before a fit that rests."""
 
+RAN_OFF = 1.5
+"""[-] Times the squares that the believed contact leaves, above which a fit with names has run off. Guards: a rest at forces that
+no contact holds (7.9 N left of 0.9), its noise estimated anew there. Reason: names that are zero leave just as much."""
+
 RECHECKED = 3
 """[families] Tried for readings that were set aside, the most telling first. Reason: time, each is a nonlinear fit."""
 

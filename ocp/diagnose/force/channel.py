@@ -30,7 +30,7 @@ from ocp.diagnose.force.logged_contact import logged_arm
 from ocp.diagnose.force.prediction import LogScene, M, acts_by_force, effect_derivatives, force_changes, predict_forces
 from ocp.diagnose.force.prior import arm_from_tracker, arm_with_effects, contact_prior, with_setpoints_read_off
 from ocp.diagnose.force.waves import SpliceTrains, likely_trains, picked_squares, telling_waves
-from ocp.diagnose.rules import LEAST_DIRECTION, LOOSE, ORDERS_APART
+from ocp.diagnose.rules import LEAST_DIRECTION, LOOSE, ORDERS_APART, RAN_OFF
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.effects.belt_splice import EFFECT as SPLICE
 from ocp.effects.catalogue import library
@@ -40,6 +40,7 @@ from ocp.model.cell import Cell, with_calibration
 from robots.calibration.store import Calibration
 from robots.column_mapping import ColumnMapping
 from robots.csv_table import OURS
+from robots.errors import Infeasible
 from robots.gravity import weight_torques
 from robots.pose import Array
 
@@ -208,9 +209,16 @@ class ForceChannel:
             # What bends the readings of the tracker bends what is believed of the arm.
             believed = contact_prior(self.problem.scene.cell, arm_with_effects(self.tracker, moved))
             problem = replace(self.problem, believed=believed)
-            return replace(self, problem=problem, fit=fit_effects(problem, visible), before=self.baseline, judged={}, latest={})
-        fit = fit_effects(self.problem, visible, self.fit)
-        return replace(self, fit=fit, before=self.baseline if visible else None, judged={}, latest={})
+            found = replace(self, problem=problem, fit=fit_effects(problem, visible), before=self.baseline, judged={}, latest={})
+        else:
+            fit = fit_effects(self.problem, visible, self.fit)
+            found = replace(self, fit=fit, before=self.baseline if visible else None, judged={}, latest={})
+        white = self.baseline.fit.whiteners
+        if found.squares(white) > RAN_OFF * self.baseline.squares(white):
+            raise Infeasible(
+                f"{self.log.path}: with {', '.join(a.effect.name for a in visible)} the fit of the force log runs off"
+            )
+        return found
 
     def gap(self) -> Array:
         """Measured less predicted normal reading (n, 1) N."""
