@@ -101,14 +101,19 @@ def follows(size: Parameter, among: tuple[int, ...]) -> Form:
 
 
 def share(size: Parameter) -> Form:
-    """A factor 1 + x that divides: the coefficient a = x / (1 + x) enters linearly."""
-    return _form(
+    """A factor 1 + x that divides: the coefficient a = x / (1 + x) enters linearly, and is below one."""
+
+    def doubt(a: Array, sd: Array, scanned: Scanned) -> str:
+        return f"no {size.key} makes so much" if a[0] - 2.0 * sd[0] > 1.0 else ""
+
+    form = _form(
         (size,),
         ("share",),
         (size.high,),
         lambda a, scanned: {size.key: float(a[0] / max(1.0 - a[0], 1e-3))},
         lambda values: (np.array([values[size.key] / (1.0 + values[size.key])]), {}),
     )
+    return form | {"doubt": doubt}
 
 
 def in_units(size: Parameter, unit: float, of: Callable[[int, Surroundings], float]) -> Form:

@@ -55,3 +55,22 @@ def test_classes_that_share_a_name_are_one():
     a, b, c, d = (Name(n) for n in "abcd")
     assert merged([(a, b), (c, d), (b, c)]) == ((a, b, c, d),)
     assert merged([(a,), (c, d)]) == ((c, d),)
+
+
+def test_a_flange_stiffer_than_rigid_is_no_twin_of_wear():
+    """Both go with the same column of numbers; of a stiffness's share of the give nothing above one is left."""
+    stiffness, wear = library()["flange_stiffness"], library()["wheel_wear"]
+    upper = stiffness.prior_sd[0]
+    for share, told in ((0.7, [Name("flange_stiffness")]), (1.3, [])):
+        column = LONG * SIGN[:, None, None] / np.sqrt(N)
+        pool = make_pool(
+            column[:, 0, 0] * share / upper,
+            N,
+            [
+                Family(Name(e.name), e, ({},), column, np.array([scale]), SIZES, np.zeros(1, bool), -3.0)
+                for e, scale in ((wear, 1e-6), (stiffness, upper))
+            ],
+        )
+        member = Member(0, 0, 1.0)
+        d = pool.columns(member)[:, 0] * share / upper
+        assert twins(SimpleNamespace(pool=pool), Weighed(0.0, (member,)), member, d) == told

@@ -122,9 +122,14 @@ def _imitates(pool: CandidatePool, d: Array, family: int) -> bool:
     """Whether a family takes so much of a signature (N,), at its prior's upper end, that what it leaves is not told from zero."""
     g, rows = pool.of(family)
     b = np.einsum("nvi,n->vi", g.X[:, rows], d)
-    taken = np.einsum("vi,vi->v", b, np.linalg.solve(g.G[rows] + np.eye(g.m), b[..., None])[..., 0]).max()
-    size = float(d @ d)
-    return bool(taken > rules.IMITATED * size and size - taken < told_apart(len(pool.families[family].scale)))
+    x = np.linalg.solve(g.G[rows] + np.eye(g.m), b[..., None])[..., 0]
+    each, own = np.einsum("vi,vi->v", b, x), pool.families[family]
+    best = int(np.argmax(each))
+    taken, size = float(each[best]), float(d @ d)
+    if taken <= rules.IMITATED * size or size - taken >= told_apart(len(own.scale)):
+        return False
+    doubt = None if own.effect is None else own.effect.doubt
+    return doubt is None or not doubt(x[best] * own.scale, np.zeros(g.m), own.scans[best])
 
 
 def merged(classes: Iterable[tuple[Name, ...]]) -> tuple[tuple[Name, ...], ...]:
