@@ -148,8 +148,8 @@ _CANNOT = re.compile(r"(?P<why>.*): (?P<effect>\w+) cannot be seen")
 
 
 def answer_of(folder: Path, phases: Phases, known: dict[str, Effect] | None = None, columns: Path | None = None) -> Answer:
-    """Diagnose a folder with the effects `known` (default: all); columns: a mapping file. Shrinkage is predicted here, from
-    the folds alone; sealed files are not opened. Raises BadInput."""
+    """Diagnose a folder with the effects `known` (default: all); columns: a mapping file. Shrinkage is predicted for the sealed
+    conditions, where there are any. Raises BadInput: a file that is malformed."""
     known = library() if known is None else known
     with phases.phase("reading"):
         data = read_data_set(folder, columns)
@@ -157,7 +157,9 @@ def answer_of(folder: Path, phases: Phases, known: dict[str, Effect] | None = No
     with phases.phase("diagnosis"):
         found = diagnose_channels(channels, with_either_sign(known, data.believed))
     with phases.phase("next"):
-        gaps = tuple(signal_gap(found, b, a) for b, a in zip(found.baseline, found.channels, strict=True))
+        asked = {signal: READERS[signal](data) for signal in data.sealed}
+        pairs = zip(found.baseline, found.channels, strict=True)
+        gaps = tuple(signal_gap(found, b, a, asked.get(b.name)) for b, a in pairs)
         experiments = next_experiments(found, known)
     told = [n for channel in channels for n in getattr(getattr(channel, "problem", None), "notices", ())]
     blind = tuple(dict.fromkeys((*(n for n in told if blinds(n)), *data.blind, *grouped(found.blind))))
@@ -166,8 +168,8 @@ def answer_of(folder: Path, phases: Phases, known: dict[str, Effect] | None = No
     with phases.phase("patch"):
         unknown = unnamed(found, written)
         named = next((g.shrinkage for g in gaps if written and unknown is not None and g.name == unknown.after.name), None)
-        patch = None if unknown is None else patched(unknown, named)
-    return Answer(data, found, gaps, experiments, blind, notices, dict(phases.seconds), written, unknown, patch)
+        patch = None if unknown is None else patched(unknown, named, asked.get(unknown.after.name))
+    return Answer(data, found, gaps, experiments, blind, notices, dict(phases.seconds), asked, written, unknown, patch)
 
 
 def with_either_sign(known: dict[str, Effect], believed: Sequence[Active]) -> dict[str, Effect]:
@@ -189,12 +191,11 @@ def grouped(blind: Sequence[str]) -> list[str]:
 
 def predict_sealed(answer: Answer) -> dict[str, Sealed]:
     """Blind predictions by signal, the effects that are written in the corrected ones, what else may be true in their sigma.
-    Raises BadInput: sealed conditions malformed."""
+    Raises BadInput: sealed conditions off the blade."""
     found: dict[str, Sealed] = {}
     data, told = answer.data, answer.diagnosis.alternatives or (Alternative(1.0, answer.diagnosis.active),)
-    for signal in data.sealed:
+    for signal, sealed in answer.asked.items():
         channel = next(c for c in answer.diagnosis.channels if c.name == signal)
-        sealed = READERS[signal](data)
         least = 0.0 if signal == "tracker" else FOLLOWED_FORCE
         first, *others = seen_by(signal, told)
         kept = [first, *(a for a in gathered(others, least) if a.probability >= least)]
@@ -337,9 +338,8 @@ def lean(answer: Answer) -> Answer:
     gaps = tuple(replace(gap, baseline=_shown(gap.baseline), corrected=_shown(gap.corrected)) for gap in answer.gaps)
     before, after = tuple(g.baseline for g in gaps), tuple(g.corrected for g in gaps)
     patch = None if answer.patch is None else replace(answer.patch, channel=_shown(answer.patch.channel))
-    return replace(
-        answer, gaps=gaps, diagnosis=replace(answer.diagnosis, baseline=before, channels=after), unknown=None, patch=patch
-    )
+    found = replace(answer.diagnosis, baseline=before, channels=after)
+    return replace(answer, gaps=gaps, diagnosis=found, asked=dict.fromkeys(answer.asked), unknown=None, patch=patch)
 
 
 def _shown(channel: Channel) -> Channel:

@@ -24,7 +24,7 @@ from ocp.diagnose.engine.channel_system import (
     is_outlier,
 )
 from ocp.diagnose.force.fit import EffectFit, ForceProblem, fit_effects
-from ocp.diagnose.force.held_out import force_fold_errors, force_folds, predict_sealed_force
+from ocp.diagnose.force.held_out import Asked, force_fold_errors, force_folds, predict_sealed_force
 from ocp.diagnose.force.log_averages import LogAverages, Store, log_averages
 from ocp.diagnose.force.logged_contact import logged_arm
 from ocp.diagnose.force.prediction import LogScene, M, acts_by_force, effect_derivatives, force_changes, predict_forces
@@ -55,7 +55,8 @@ OF_CONDITIONS = ("approach", "time", "s", "travel")
 @dataclass(frozen=True)
 class ForceChannel:
     """A force log with the fit of the believed contact and of the active effects. `store` keeps columns that hardly change,
-    `found` the trains of a belt's splice that were found at first, `latest` those columns that were asked for last."""
+    `found` the trains of a belt's splice that were found at first, `latest` those columns that were asked for last, `made` the
+    conditions that are to be predicted."""
 
     problem: ForceProblem
     fit: EffectFit
@@ -65,6 +66,7 @@ class ForceChannel:
     judged: dict[tuple[object, ...], "ForceChannel"] = field(default_factory=dict, repr=False)
     latest: dict[str, Any] = field(default_factory=dict, repr=False)
     found: dict[str, SpliceTrains] = field(default_factory=dict, repr=False)
+    made: dict[str, Asked] = field(default_factory=dict, repr=False)
     tracker: TrackerChannel | None = field(default=None, repr=False)
     name: str = "force"
     unit: str = "N"
@@ -270,7 +272,14 @@ class ForceChannel:
     def predict(self, sealed: ForceLog, active: tuple[Active, ...]) -> Sealed:
         """Baseline and corrected normal reading (n, 1) N of conditions nobody has seen, one sigma of the corrected one."""
         after = self.fitted_with(active)
-        return predict_sealed_force((self.baseline.problem, self.baseline.fit), (after.problem, after.fit), sealed)
+        return predict_sealed_force((self.baseline.problem, self.baseline.fit), (after.problem, after.fit), self.asked(sealed))
+
+    def asked(self, sealed: ForceLog) -> Asked:
+        """Conditions made ready, once for all that asks of them. Raises BadInput: points off the blade."""
+        kept = self.made.get("asked")
+        if kept is None or kept.sealed is not sealed:
+            kept = self.made["asked"] = Asked.of(self.log, self.problem.scene, sealed)
+        return kept
 
 
 def force_channel(

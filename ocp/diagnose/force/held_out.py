@@ -6,13 +6,14 @@ effects and one without have unknowns of their own. Nobody has seen: the believe
 effects, with one sigma.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from ocp.calibrate.force.assessment import without_rows
 from ocp.calibrate.force.log import Flags, ForceLog, Index
+from ocp.calibrate.force.model import ForceModel, ForceRows
 from ocp.calibrate.force.rows import log_conditions, prepare_force
 from ocp.diagnose.engine.channel_system import Fold, HeldOut, Predictable, Sealed, predictable
 from ocp.diagnose.force.fit import EffectFit, ForceProblem, fit_effects, linear_normal
@@ -122,39 +123,54 @@ def _errors(problem: ForceProblem, fit: EffectFit, change: Array) -> Array:
     return np.asarray(problem.gap(fit.at, fit.z) - columns @ change)
 
 
-def predict_sealed_force(
-    before: tuple[ForceProblem, EffectFit], after: tuple[ForceProblem, EffectFit], sealed: ForceLog
-) -> Sealed:
-    """Normal readings (n, 1) N of `sealed` without and with effects, what the sensor adds in, and one sigma of the noise-free
+@dataclass(frozen=True)
+class Asked:
+    """Conditions that are asked for, and the log before them, with one law of the wheel for both: rows of the log, the scene
+    there, columns that it has."""
+
+    sealed: ForceLog
+    model: ForceModel
+    measured: ForceRows
+    there: LogScene
+    given: frozenset[str]
+
+    @staticmethod
+    def of(log: ForceLog, scene: LogScene, sealed: ForceLog) -> "Asked":
+        """The scene of conditions; what the cell states and they say nothing of is left out. Raises BadInput: points off the
+        blade."""
+        setup = prepare_force(scene.cell, [log, sealed])
+        used = float(scene.conditions.clock.max())
+        known = log_conditions(scene.cell, sealed, 0.0 if sealed.clock is not None else used)
+        told = predictable(scene.given, lambda effect: known.given.issuperset(effect.needs)).known
+        there = replace(scene, model=setup.model, given=told).over(setup.rows[1], known)
+        return Asked(sealed, setup.model, setup.rows[0], there, known.given)
+
+    def says(self, effect: Effect) -> bool:
+        """Whether they have every column that an effect needs."""
+        return self.given.issuperset(effect.needs)
+
+
+def predict_sealed_force(before: tuple[ForceProblem, EffectFit], after: tuple[ForceProblem, EffectFit], asked: Asked) -> Sealed:
+    """Normal readings (n, 1) N of conditions without and with effects, what the sensor adds in, and one sigma of the noise-free
     value of the latter.
 
-    Effects for which `sealed` lacks a column are left out of the correction and counted in sigma, as they were in the log.
-    The wheel's law is fitted again to cover both logs, and the contact refitted to the first on it. Raises BadInput: points off
-    the blade.
+    Effects for which they lack a column are left out of the correction and counted in sigma, as they were in the log.
+    The wheel's law was fitted again to cover both logs, and the contact is refitted to the first on it.
     """
-    problem, scene = after[0], after[0].scene
-    setup = prepare_force(scene.cell, [problem.log, sealed])
-    model = setup.model
-    used = float(scene.conditions.clock.max())
-    known = log_conditions(scene.cell, sealed, 0.0 if sealed.clock is not None else used)
+    problem, scene, there, has = after[0], after[0].scene, asked.there, asked.says
     found: list[tuple[EffectFit, Predicted]] = []
-
-    def has(effect: Effect) -> bool:
-        return set(effect.needs) <= known.given
-
-    there = replace(scene, model=model, given=predictable(scene.given, has).known).over(setup.rows[1], known)
     for own, fit in (before, after):
         if found and fit is before[1]:  # no effect
             found.append(found[0])
             continue
-        measured = replace(own, scene=replace(own.scene, model=model, rows=setup.rows[0]))
+        measured = replace(own, scene=replace(own.scene, model=asked.model, rows=asked.measured))
         again = fit_effects(measured, fit.active, fit)
         effects = predictable(again.active, has).known
         found.append((again, predict_forces(there, again.at.x, effects)))
     (_, baseline), (fit, corrected) = found
     parted = predictable(fit.active, has)
     setpoint = scene.cell.flange.setpoint if scene.cell.flange is not None else 0.0
-    more = _changed(problem.log, sealed, setpoint) + _unshown(scene, fit, parted)
+    more = _changed(problem.log, asked.sealed, setpoint) + _unshown(scene, fit, parted)
     sigma = _sigma(problem, there, fit, corrected, parted.kept, more)
     return Sealed(baseline.fn[:, None], corrected.fn[:, None], sigma[:, None], parted.lacking)
 

@@ -13,11 +13,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ocp.calibrate.force.log import ForceLog
 from ocp.calibrate.force.rows import LogConditions
 from ocp.diagnose.engine.channel_system import Channel, HeldOut
 from ocp.diagnose.engine.findings import Alternative
 from ocp.diagnose.force.channel import ForceChannel
 from ocp.diagnose.force.fit import linear_normal
+from ocp.diagnose.force.held_out import Asked
 from ocp.diagnose.force.prediction import LogScene, predict_forces
 from ocp.diagnose.rules import BETWEEN_RUNS, LATER_FORCE, NEW_RECORDINGS, NO_GAP
 from ocp.diagnose.verdict.shrinkage import DRAWS, Shrinkage, drawn_errors, interval, unexplained
@@ -33,8 +35,8 @@ ROWS = 600  # of the log, evenly taken
 class LaterGrinding:
     """n rows in contact under c conditions: moved (c, a, n) N, what each of a alternatives adds to the baseline's normal reading;
     errors (c, n, p) N per unit of the accepted fit's unknowns, their covariance (p, p); probability (a,) of the alternatives, the
-    accepted one first; weight (a,): of each in the correction; share (c,): probability of the conditions; run (n,): which
-    recording (0, 1, ..) a row is of."""
+    accepted one first; share (c,): probability of the conditions; run (n,): which recording (0, 1, ..) a row is of; whole: of
+    these very rows, all of them."""
 
     moved: Array
     errors: Array
@@ -42,22 +44,25 @@ class LaterGrinding:
     probability: Array
     share: Array
     run: Index
+    whole: bool = False
 
 
-def anticipated_grinding(before: ForceChannel, after: ForceChannel, others: Sequence[Alternative] = ()) -> LaterGrinding | None:
-    """The log's recordings under later conditions; others: alternatives, the accepted one (which `after` is) first; those under
-    which the contact cannot be computed there are left out. None where that is the accepted one."""
+def anticipated_grinding(
+    before: ForceChannel, after: ForceChannel, others: Sequence[Alternative] = (), asked: Asked | None = None
+) -> LaterGrinding | None:
+    """The log's recordings under later conditions, or what is `asked` for; others: alternatives, the accepted one (which `after`
+    is) first; those under which the contact cannot be computed there are left out. None where that is the accepted one."""
     followed = [(m, o.probability) for o in others if (m := _with(before, after, o.active)) is not None] or [(after, 1.0)]
     models, p = [m for m, _ in followed], np.array([one for _, one in followed])
     rows = np.unique(np.linspace(0, len(after.log) - 1, min(len(after.log), ROWS)).astype(np.int64))
     known = after.problem.scene.conditions
-    touching = np.flatnonzero(known.contact[rows])
     moved, errors = [], []
     active = [a for m in models for a in m.fit.active]
     warmths = (False, True) if any("temperature" in column for a in active for column in a.effect.needs) else (False,)
     later = [after_log(known, share, changing) for share in LATER_FORCE for changing in warmths]
-    for conditions in (known, *later):
-        there = _scene(after, conditions, rows)
+    scenes = (_scene(after, conditions, rows) for conditions in (known, *later)) if asked is None else (asked.there,)
+    for there in scenes:
+        touching = there.touching
         old = predict_forces(there, before.fit.at.x, before.fit.active).fn
         found = [predict_forces(there, m.fit.at.x, m.fit.active) for m in models]
         moved.append(np.stack([(made.fn - old)[touching] for made in found]))
@@ -66,13 +71,13 @@ def anticipated_grinding(before: ForceChannel, after: ForceChannel, others: Sequ
     if not there_too[0] or not np.isfinite(np.stack(errors)).all():
         return None
     moved, p = [one[there_too] for one in moved], p[there_too]
-    share = np.array([BETWEEN_RUNS, *((1.0 - BETWEEN_RUNS) / len(later) for _ in later)])
-    run = np.unique(known.run[rows][touching], return_inverse=True)[1].astype(np.int64)
+    share = np.array([BETWEEN_RUNS, *((1.0 - BETWEEN_RUNS) / len(later) for _ in later)]) if asked is None else np.ones(1)
+    run = np.unique(there.conditions.run[touching], return_inverse=True)[1].astype(np.int64)
     # Of the unknowns that go on: the nuisance and the effects' coefficients, not what single recordings were off by.
     fit, (r, o) = models[0].fit, models[0].problem.sizes
     keep = np.r_[np.arange(r), np.arange(r + o, len(fit.z))]
     covariance = np.linalg.inv(fit.information)[np.ix_(keep, keep)]
-    return LaterGrinding(np.stack(moved), np.stack(errors), covariance, p / p.sum(), share, run)
+    return LaterGrinding(np.stack(moved), np.stack(errors), covariance, p / p.sum(), share, run, asked is not None)
 
 
 def after_log(known: LogConditions, share: float, changing: bool = False) -> LogConditions:
@@ -124,11 +129,13 @@ def of_grinding(
     held: Sequence[HeldOut],
     unknown: float,
     carried: tuple[float, float] | None = None,
+    sealed: ForceLog | None = None,
 ) -> Shrinkage | None:
     """Of a force channel before and with the named effects; alternatives: what else may be true; held: folds, that say how
-    much is there under no name where, with probability `unknown`, something is. None: no gap to speak of."""
+    much is there under no name where, with probability `unknown`, something is; sealed: conditions that are asked for. None: no
+    gap to speak of."""
     assert isinstance(before, ForceChannel) and isinstance(after, ForceChannel)
-    new = anticipated_grinding(before, after, alternatives)
+    new = anticipated_grinding(before, after, alternatives, None if sealed is None else after.asked(sealed))
     return None if new is None else from_grinding(new, after.noise_floor**2, held, unknown, carried)
 
 
@@ -152,8 +159,11 @@ def from_grinding(
     runs = int(new.run.max()) + 1
     # A Dirichlet law of n weights a each is worth (n a + 1) / (a + 1) of them.
     weight = (NEW_RECORDINGS - 1.0) / (runs - NEW_RECORDINGS) if runs > NEW_RECORDINGS else 1e3
-    rows = rng.dirichlet(np.full(runs, weight), DRAWS)[:, new.run] / np.bincount(new.run)[new.run]
     even = 1.0 / (runs * np.bincount(new.run)[new.run])
+    rows = rng.dirichlet(np.full(runs, weight), DRAWS)[:, new.run] / np.bincount(new.run)[new.run]
+    if new.whole:
+        even = np.full(len(new.run), 1.0 / len(new.run))
+        rows = np.broadcast_to(even, rows.shape)
     before, after, usual = (np.zeros(DRAWS) for _ in range(3))
     for k, moved in enumerate(new.moved):
         at = when == k

@@ -1,12 +1,13 @@
 """How far each signal's gap is expected to shrink: what the named effects change where nobody has measured yet.
 
-Nothing sealed is read. New tracker readings are taken to come after the campaign, with any of the cell's payloads and at any
-temperature of the campaign: an effect that the refitted geometry hides among the payloads measured may show with another one, and
-then the baseline is worse than on the campaign itself.
+Where conditions are asked for (sealed ones), there: they hold no readings. Else new tracker readings are taken to come after the
+campaign, with any of the cell's payloads and at any temperature of the campaign: an effect that the refitted geometry hides among
+the payloads measured may show with another one, and then the baseline is worse than on the campaign itself.
 """
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,16 +36,17 @@ from ocp.diagnose.verdict.shrinkage import (
     realised,
 )
 from ocp.effects.effect import Active
+from ocp.effects.engine.readings import has_columns
 from robots.calibration.residuals import points
 from robots.pose import Array
 from robots.tracker_readings import Index, Readings
 
-POSTURES = 60  # of the campaign, evenly taken
+POSTURES, ASKED = 60, 300  # of the campaign, of the conditions asked for, evenly taken
 TOGETHER = ([0], [1, 2], [3], [4], [5])  # axes whose angles stay together: the arm stays off the floor
 
 
-def signal_gap(diagnosis: Diagnosis, before: Channel, after: Channel) -> SignalGap:
-    """The gap of one channel; its shrinkage is predicted from what was fitted, before anything sealed is opened."""
+def signal_gap(diagnosis: Diagnosis, before: Channel, after: Channel, sealed: Any = None) -> SignalGap:
+    """The gap of one channel; its shrinkage is predicted from what was fitted, for the conditions `sealed` if there are any."""
     scale = SCALE[before.unit]
     kept = counted(after)
     sizes = [scale * np.linalg.norm(np.atleast_2d(c.gap()), axis=1)[kept] for c in (before, after)]
@@ -52,29 +54,43 @@ def signal_gap(diagnosis: Diagnosis, before: Channel, after: Channel) -> SignalG
     told = tuple(
         (h.fold.name, realised(h.before, h.after, h.noise) if diagnosis.active else None) for h in held if h.fold.extrapolates
     )
-    shrinkage = _shrinkage(diagnosis, before, after, held, float(np.mean(sizes[0] ** 2)))
+    sealed = asked_of(after, diagnosis.alternatives, sealed)
+    shrinkage = _shrinkage(diagnosis, before, after, held, float(np.mean(sizes[0] ** 2)), sealed)
     promise = {} if shrinkage in (None, NONE) else _by_kind(after, held, shrinkage)
     left = remaining(after, diagnosis.left_over)
     left = Remaining(scale * left.above_noise, left.p_value)
-    return SignalGap(
-        before.name, before.unit, after.noise_floor, sizes[0], sizes[1], shrinkage, promise, told, left, before, after
-    )
+    figures = before.name, before.unit, after.noise_floor, sizes[0], sizes[1]
+    return SignalGap(*figures, shrinkage, promise, told, left, before, after, sealed is not None)
 
 
-def _shrinkage(diagnosis: Diagnosis, before: Channel, after: Channel, held: Sequence[HeldOut], square: float) -> Shrinkage | None:
+def _shrinkage(
+    diagnosis: Diagnosis, before: Channel, after: Channel, held: Sequence[HeldOut], square: float, sealed: Any
+) -> Shrinkage | None:
     """What to expect on new data; square: mean square of the gap before in the channel's unit."""
     if not any(after.variants(a.effect, a.joint, [a.scanned]) for a in diagnosis.active):
         # Nothing is named that this signal shows, so nothing changes.
         return NONE if realised(square, 0.0, after.noise_floor**2) is not None else None
     if isinstance(before, TrackerChannel) and isinstance(after, TrackerChannel) and not after.restless(1.0):
         others = seen_by(after.name, _what_may_be(diagnosis))
-        return from_model(anticipated(before, after, others), held, (after.noise_floor / SCALE[after.unit]) ** 2)
+        return from_model(anticipated(before, after, others, sealed), held, (after.noise_floor / SCALE[after.unit]) ** 2)
     if before.name == "force":
         from ocp.diagnose.force.shrinkage import of_grinding  # blade and contact: only for those who measured force
 
-        return of_grinding(before, after, seen_by(after.name, diagnosis.alternatives), held, diagnosis.p_beside)
+        return of_grinding(before, after, seen_by(after.name, diagnosis.alternatives), held, diagnosis.p_beside, None, sealed)
     # Where noise is far above what is usual no model says what lasts of it: left-out readings do.
     return from_folds(held, estimation_variance(after, active_columns(after)))
+
+
+def asked_of(channel: Channel, others: Sequence[Alternative], sealed: Any) -> Any:
+    """Conditions that a channel is asked to predict where a promise can be for them: where they say all that the alternatives
+    depend on; else None."""
+    effects = [a.effect for one in others for a in one.active]
+    if sealed is None or not effects:
+        return None
+    if isinstance(channel, TrackerChannel):
+        return sealed if all(has_columns(e, sealed) for e in effects) else None
+    asked = getattr(channel, "asked", None)
+    return sealed if asked is not None and all(map(asked(sealed).says, effects)) else None
 
 
 def _what_may_be(diagnosis: Diagnosis) -> tuple[Alternative, ...]:
@@ -112,20 +128,27 @@ def active_columns(channel: Channel) -> Array:
     return np.hstack(parts) if parts else np.zeros((len(channel.system.residual), 0))
 
 
-def anticipated(before: TrackerChannel, after: TrackerChannel, others: Sequence[Alternative] = (), seed: int = 0) -> Anticipated:
-    """One group for every payload of the cell and every temperature; others: alternatives, the accepted one (which `after` is)
-    first."""
-    readings = _later(after.readings, seed)
+def anticipated(
+    before: TrackerChannel, after: TrackerChannel, others: Sequence[Alternative] = (), sealed: Readings | None = None
+) -> Anticipated:
+    """One group for every payload of the cell and every temperature, or for every payload that the conditions `sealed` carry;
+    others: alternatives, the accepted one (which `after` is) first."""
     models = [_with(before, after, o.active) for o in others] or [after]
-    groups = []
-    for k in range(len(readings.payloads)):
-        for warmth in _warmths(after.readings):
-            new = replace(readings, payload=np.full(len(readings), k, np.int64))
-            new = new if warmth is None else replace(new, temperature=np.full(len(readings), warmth))
-            groups.append(_group(before, models, new))
+    if sealed is not None:
+        rows = np.unique(np.linspace(0, len(sealed) - 1, min(len(sealed), ASKED)).astype(np.int64))
+        asked = replace(sealed.take(rows), turn=None, sigma_turn=None)
+        groups = [_group(before, models, asked.take(asked.payload == k)) for k in np.unique(asked.payload)]
+    else:
+        readings, groups = _later(after.readings, 0), []
+        for k in range(len(readings.payloads)):
+            for warmth in _warmths(after.readings):
+                new = replace(readings, payload=np.full(len(readings), k, np.int64))
+                new = new if warmth is None else replace(new, temperature=np.full(len(readings), warmth))
+                groups.append(_group(before, models, new))
     told = np.array([o.probability for o in others] or [1.0])
     measured = tuple(after.readings.payloads[k] for k in np.unique(after.readings.payload))
-    return Anticipated(tuple(groups), measured, told / told.sum(), models[0].fit.covariance, models[0].background.draws)
+    draws = models[0].background.draws
+    return Anticipated(tuple(groups), measured, told / told.sum(), models[0].fit.covariance, draws, sealed is not None)
 
 
 def _with(before: TrackerChannel, after: TrackerChannel, active: tuple[Active, ...]) -> TrackerChannel:

@@ -114,7 +114,7 @@ def diagnosis_headline(answer: Answer) -> Headline:
 
 def _patch(patch: Patched) -> str:
     """What is corrected without a name, and what that promises."""
-    told = f"{shrinkage_words(patch.shrinkage)} of the {patch.channel.name} gap should be gone on new data"
+    told = f"{shrinkage_words(patch.shrinkage)} of the {patch.channel.name} gap should be gone {patch.there}"
     what = "; ".join(formula_of(one) for one in patch.patches)
     return f"With what has no name corrected as well, {told}. It explains nothing, and fades outside what was measured: {what}"
 
@@ -194,7 +194,7 @@ def _levels(answer: Answer) -> str:
 
 def _promise(answer: Answer) -> str:
     told = [
-        f"{shrinkage_words(gap.shrinkage)} of the {SHORT[gap.name]} gap should be gone on new data, "
+        f"{shrinkage_words(gap.shrinkage)} of the {SHORT[gap.name]} gap should be gone {gap.there}, "
         f"{shrinkage_words(gap.promise[ANOTHER_DAY])} on another day"
         for gap in answer.gaps
         if gap.shrinkage is not None and gap.shrinkage != NONE
@@ -250,7 +250,7 @@ def _better(answer: Answer) -> str:
                 "; what has no name is in that noise" if unknown else "; the gap is too small beside it to speak of shrinking"
             )
         elif gap.shrinkage != NONE:
-            words += f"; on new data {shrinkage_words(gap.shrinkage)} of the gap beyond noise should be gone"
+            words += f"; {gap.there} {shrinkage_words(gap.shrinkage)} of the gap beyond noise should be gone"
         parts.append(words)
     return "; ".join(parts)
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -15,12 +16,17 @@ from ocp.effects.effect import Active
 from robots.pose import Array
 
 
+def there_of(asked: bool) -> str:
+    """Of what is promised: the conditions asked for, or new data like those that there are."""
+    return "under the conditions asked for" if asked else "on new data"
+
+
 @dataclass(frozen=True)
 class SignalGap:
     """The gap of one signal: channel before and after, sizes (n,) of the readings' errors in `unit`, outliers apart, noise
     floor; shrinkage to expect on new data, promise by what is new in them, and by what was withheld (None: no gap there to
     speak of); remaining: rms in `unit` above the instrument's noise after the effects, and the probability that noise alone
-    leaves as much."""
+    leaves as much; asked: whether the shrinkage is that under the conditions that are to be predicted."""
 
     name: str
     unit: str
@@ -33,6 +39,12 @@ class SignalGap:
     remaining: Remaining
     baseline: Channel
     corrected: Channel
+    asked: bool = False
+
+    @property
+    def there(self) -> str:
+        """Of what the shrinkage is promised."""
+        return there_of(self.asked)
 
 
 @dataclass(frozen=True)
@@ -48,11 +60,12 @@ class Unnamed:
 @dataclass(frozen=True)
 class Patched:
     """The channel with the written names and the patches; shrinkage that both promise together; others: what may stand in the
-    patches' place, with probabilities."""
+    patches' place, with probabilities; there: of what it is promised."""
 
     channel: Channel
     shrinkage: Shrinkage
     others: tuple[Alternative, ...]
+    there: str = "on new data"
 
     @property
     def patches(self) -> tuple[Active, ...]:
@@ -62,9 +75,9 @@ class Patched:
 
 @dataclass(frozen=True)
 class Answer:
-    """Diagnosis of a data set with the gap of every signal, what to measure next, what cannot be seen, seconds by phase; written:
-    named effects that the corrected cell holds; unknown: what is there under no name; patch: of it, where it is
-    written too."""
+    """Diagnosis of a data set with the gap of every signal, what to measure next, what cannot be seen, seconds by phase; asked:
+    conditions to predict, by signal; written: named effects that the corrected cell holds; unknown: what is there under no name;
+    patch: of it, where it is written too."""
 
     data: DataSet
     diagnosis: Diagnosis
@@ -73,6 +86,7 @@ class Answer:
     blind: tuple[str, ...]
     notices: tuple[str, ...]
     seconds: dict[str, float]
+    asked: Mapping[str, Any]
     written: tuple[Active, ...] = ()
     unknown: Unnamed | None = None
     patch: Patched | None = None

@@ -54,13 +54,14 @@ class NewReadings:
 class Anticipated:
     """Groups of new readings; measured: names of the campaign's payloads; probability (a,) of every alternative, the accepted one
     first; covariance (p, p) of the parameters of the accepted model; lasting (k, 6) draws of the joints' mean squares rad^2 that
-    no fit takes away."""
+    no fit takes away; whole: of these very readings, all of them."""
 
     groups: tuple[NewReadings, ...]
     measured: tuple[str, ...]
     probability: Array
     covariance: Array
     lasting: Array
+    whole: bool = False
 
 
 def realised(before: float, after: float, noise: float) -> float | None:
@@ -87,6 +88,8 @@ def from_model(
         n = g.errors.shape[0]
         off = (errors @ g.errors.reshape(3 * n, -1).T).reshape(-1, n, 3)
         rows = share[:, None] * rng.dirichlet(np.ones(n), DRAWS)  # postures drawn anew (Rubin 1981, the Bayesian bootstrap)
+        if new.whole:
+            rows = np.full((DRAWS, n), 1.0 / sum(len(one.joints) for one in new.groups))
         joints = lasting @ g.joints.T
         truth = g.moved[true] if there is None else g.moved[-1] + there * (g.moved[true] - g.moved[-1])
         after += np.sum(rows * (np.sum((g.moved[0] - truth + off) ** 2, axis=2) + joints), axis=1)
