@@ -242,16 +242,17 @@ PLANTED = {
 }
 
 
-def promised_and_realised(name: str, seed: int, size: float):
-    """Shrinkage predicted from the campaign, and what came at 200 new postures."""
+def promised_and_realised(name: str, seed: int, size: float, asked: bool = False):
+    """Shrinkage predicted from the campaign, for any new postures or for those `asked` for, and what came at 200 of them."""
     joint, shift = PLANTED[name]
     readings, points = world(seed, shift, background=size)
     before = channel(readings)
     effect = LIBRARY[name]
     after = before.with_active((Active(effect, joint, np.zeros(effect.size), {}, np.zeros((effect.size, effect.size))),))
-    promise = from_model(anticipated(before, after), [], (1e-3 * after.noise_floor) ** 2)
     fresh = campaign_readings(np.random.default_rng(seed + 500), 200)
     fresh = replace(fresh, time=np.linspace(9000, 11000, 200), temperature=np.full(200, 26.0))
+    sealed = replace(fresh, point=np.full((200, 3), np.nan)) if asked else None
+    promise = from_model(anticipated(before, after, (), sealed), [], (1e-3 * after.noise_floor) ** 2)
     there, told = points(fresh), after.predict(fresh, after.active)
     e, f = (np.sqrt(np.mean(np.sum((p - there) ** 2, axis=1))) for p in (told.baseline, told.corrected))
     return promise, 1 - f / e
@@ -264,6 +265,17 @@ def test_promises_are_kept():
     assert np.median(off) < 0.08
     assert sum(inside) >= 3  # of 4; 90 % intervals
     assert np.median([p.high - p.low for p, _ in found]) < 0.45
+
+
+def test_a_promise_for_the_postures_asked_for_is_nearer():
+    told = [promised_and_realised(n, 70 + i, 1.5e-5 * (i % 2), asked=True) for i, n in enumerate(PLANTED)]
+    assert np.median([abs(p.predicted - r) for p, r in told]) < 0.04
+    assert sum(p.low <= r <= p.high for p, r in told) >= 3  # of 4; 90 % intervals
+    # The same posture many times over is one posture: which ones come is not drawn.
+    before = channel(world(3, PLANTED["backlash"][1])[0])
+    after = before.with_active((Active(LIBRARY["backlash"], 5, np.zeros(1), {}, np.zeros((1, 1))),))
+    once, often = (from_model(anticipated(before, after, (), after.readings.take(rows)), [], 0.0) for rows in ([5], [5] * 40))
+    assert once.draws == pytest.approx(often.draws, rel=1e-9)
 
 
 def test_what_else_may_be_true_is_in_the_sigma_of_what_is_written():

@@ -14,6 +14,7 @@ from ocp.diagnose.engine.findings import Alternative
 from ocp.diagnose.force import shrinkage
 from ocp.diagnose.force.channel import ForceChannel, force_channel
 from ocp.diagnose.force.fit import ForceProblem, fit_effects
+from ocp.diagnose.force.held_out import Asked
 from ocp.diagnose.force.logged_contact import logged_arm
 from ocp.diagnose.force.prediction import LogScene, predict_forces
 from ocp.diagnose.force.shrinkage import LaterGrinding, after_log, anticipated_grinding, from_grinding
@@ -211,6 +212,22 @@ def test_the_promise_is_kept_after_the_log(worn):
         anticipated_grinding(before, after, (Alternative(0.6, after.active), Alternative(0.4, ()))), after.noise_floor**2
     )
     assert unsure is not None and unsure.predicted < found.predicted and unsure.low < found.low - 0.5
+
+
+def test_a_promise_for_the_conditions_asked_for_is_of_these_rows_and_no_others(worn):
+    before, after = worn.channel, worn.channel.with_active((_wear(),))
+    asked = Asked(before.log, worn.later.model, before.problem.scene.rows, worn.later, frozenset({"clock_s"}))
+    made = anticipated_grinding(before, after, (), asked)
+    at = worn.later.touching
+    assert made.share.tolist() == [1.0] and made.whole and made.moved.shape == (1, 1, len(at))
+    told = from_grinding(made, after.noise_floor**2)
+    there = [predict_forces(worn.later, c.fit.at.x, c.active).fn[at] for c in (before, after)]
+    e, f = (float(np.sqrt(np.mean((fn - worn.truth[at]) ** 2))) for fn in there)
+    assert told.predicted == pytest.approx(1 - f / e, abs=0.06) and told.low <= 1 - f / e <= told.high
+    # Twice the same rows promise the same, and a recording's rows count as they are asked for.
+    twice = replace(made, moved=np.tile(made.moved, 2), errors=np.tile(made.errors, (1, 2, 1)), run=np.tile(made.run, 2))
+    assert from_grinding(twice, after.noise_floor**2).predicted == pytest.approx(told.predicted, rel=1e-9)
+    assert asked.says(_wear().effect) and not asked.says(library()["wheel_temperature"])
 
 
 @pytest.mark.parametrize("lost", [1, 2])
