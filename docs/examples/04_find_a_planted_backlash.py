@@ -16,7 +16,7 @@ def main(out: Path, poses: int = 60) -> DiagnosisResult:
     print(f"nothing at all: {found.p_none:.2f}; something outside the catalogue: {found.p_unknown:.2f}")
     for gap in result.answer.gaps:
         if gap.shrinkage is not None:
-            print(f"{gap.name}: expected to shrink by {100 * gap.shrinkage.predicted:.0f} % on new data")
+            print(f"{gap.name}: expected to shrink by {100 * gap.shrinkage.predicted:.0f} % {gap.there}")
     return result
 
 

@@ -33,7 +33,7 @@ from ocp.diagnose.dataset import (
 )
 from ocp.diagnose.document import document_of, json_text
 from ocp.diagnose.engine.channel_system import Channel, ReadingConditions, Sealed, effects_key, needs_motion
-from ocp.diagnose.engine.findings import Alternative
+from ocp.diagnose.engine.findings import Alternative, Diagnosis
 from ocp.diagnose.foresee.anticipated import signal_gap
 from ocp.diagnose.foresee.next_experiment import next_experiments
 from ocp.diagnose.foresee.patched import beside_unknown, patched, unnamed, with_patch
@@ -153,23 +153,34 @@ def answer_of(folder: Path, phases: Phases, known: dict[str, Effect] | None = No
     known = library() if known is None else known
     with phases.phase("reading"):
         data = read_data_set(folder, columns)
+        asked = {signal: READERS[signal](data) for signal in data.sealed}
     channels = channels_of(data, phases)
     with phases.phase("diagnosis"):
         found = diagnose_channels(channels, with_either_sign(known, data.believed))
     with phases.phase("next"):
-        asked = {signal: READERS[signal](data) for signal in data.sealed}
         pairs = zip(found.baseline, found.channels, strict=True)
         gaps = tuple(signal_gap(found, b, a, asked.get(b.name)) for b, a in pairs)
         experiments = next_experiments(found, known)
     told = [n for channel in channels for n in getattr(getattr(channel, "problem", None), "notices", ())]
     blind = tuple(dict.fromkeys((*(n for n in told if blinds(n)), *data.blind, *grouped(found.blind))))
     notices = tuple(dict.fromkeys((*data.notices, *(n for n in told if not blinds(n)))))
-    written = promised(found, gaps)
+    written = _at_rest(found, promised(found, gaps))
     with phases.phase("patch"):
         unknown = unnamed(found, written)
         named = next((g.shrinkage for g in gaps if written and unknown is not None and g.name == unknown.after.name), None)
         patch = None if unknown is None else patched(unknown, named, asked.get(unknown.after.name))
     return Answer(data, found, gaps, experiments, blind, notices, dict(phases.seconds), asked, written, unknown, patch)
+
+
+def _at_rest(found: Diagnosis, written: tuple[Active, ...]) -> tuple[Active, ...]:
+    """The effects that are to be written, where a fit with them and no others comes to rest; else none."""
+    if effects_key(written) != effects_key(found.active):
+        try:
+            for channel in found.baseline if written else ():
+                channel.with_active(written)
+        except Infeasible:
+            return ()
+    return written
 
 
 def with_either_sign(known: dict[str, Effect], believed: Sequence[Active]) -> dict[str, Effect]:

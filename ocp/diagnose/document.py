@@ -148,7 +148,9 @@ class GapJson(JsonObject):
     after: FiguresJson
     """With the named effects."""
     shrinkage: ShrinkageJson | None
-    """Promised on new data of the same campaign; null where the gap is below a fifth of the noise."""
+    """Promised; null where the gap is below a fifth of the noise."""
+    asked: bool
+    """Under the sealed conditions; else on new data like the campaign's."""
     promise: dict[str, ShrinkageJson]
     """The same by what is new: day, region, payload, session."""
     extrapolation: list[ExtrapolationJson]
@@ -185,6 +187,8 @@ class PatchJson(JsonObject):
 
     shrinkage: ShrinkageJson
     """That names and patch promise together."""
+    asked: bool
+    """Under the sealed conditions."""
     formula: str
     """The patch in words."""
     range: dict[str, tuple[Number, Number]]
@@ -300,6 +304,7 @@ def _remaining(gap: SignalGap, at: Location | None) -> dict[str, Any]:
 
 def _gap(gap: SignalGap) -> dict[str, Any]:
     told = {"unit": gap.unit, "noise_floor": gap.noise_floor, "shrinkage": gap.shrinkage, "promise": gap.promise}
+    told |= {"asked": gap.asked}
     told |= {"before": figures(gap.before), "after": figures(gap.after)}
     return told | {"extrapolation": [{"withheld": name, "shrinkage": value} for name, value in gap.extrapolation]}
 
@@ -307,7 +312,7 @@ def _gap(gap: SignalGap) -> dict[str, Any]:
 def _patch(patch: Patched) -> dict[str, Any]:
     formula = "; ".join(formula_of(one) for one in patch.patches)
     measured = {name: (low, high) for one in patch.patches for name, low, high in one.scanned["range"]}
-    return {"shrinkage": patch.shrinkage, "formula": formula, "range": measured}
+    return {"shrinkage": patch.shrinkage, "asked": patch.asked, "formula": formula, "range": measured}
 
 
 def _experiment(e: Experiment) -> dict[str, Any]:

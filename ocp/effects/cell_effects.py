@@ -57,7 +57,7 @@ def effect_of(table: Mapping[str, Any]) -> CellEffect:
         a, scanned = effect.coefficients_of(values)
     except KeyError as missing:
         raise ValueError(f"effect '{effect.name}' needs the key '{missing.args[0]}'; add it") from None
-    if not np.isfinite(a).all():
+    if not (np.isfinite(a).all() and all(np.isfinite(v) for v in scanned.values() if isinstance(v, float))):
         raise ValueError(f"effect '{effect.name}' has a value that is not a finite number; correct it")
     sd = table.get("sd") or {}
     for key in sd:

@@ -5,7 +5,8 @@ the flange is pressed in and N less as it extends; after a turn of the motion it
 friction goes from one limit to the other over about 2 N / (K + k) of the stroke that a flange without friction would have made, k
 its stiffness and K that of all behind it. With u = (K + k) times that stroke the friction f follows df = du where it lets go and
 df = (1 - f^2 / N^2) du where it builds up (Bouc and Wen's hysteresis at exponent 2: Ismail, Ikhouane and Rodellar 2009, eq. 2):
-f = N tanh(u / N) from rest, and so a fit finds its way. What touches the wheel has pressed the flange in.
+f = N tanh(u / N) from rest, and so a fit finds its way. What touches the wheel has pressed the flange in. Derivatives hold K
+and k still, which is a twentieth of them, a third where an effect scales these.
 """
 
 import math
@@ -75,7 +76,9 @@ SIZE = proportional(
 
 
 def _of_table(values: Mapping[str, Any]) -> tuple[Array, dict[str, Any]]:
-    """A table need not say over how much it turns."""
+    """A table need not say over how much it turns. Raises ValueError: over nothing, or less."""
+    if not 0.0 < values.get("turn_N", LEAST) < np.inf:
+        raise ValueError(f"effect 'flange_friction': turn_N = {values['turn_N']} is not above zero; leave it out")
     return SIZE["coefficients_of"]({**_own_size(np.array([values["N"]])), **values})
 
 

@@ -386,7 +386,7 @@ class PatchTable(TomlTable):
     formula: str = Field(default="", examples=["0.2 mrad at joint 3"])
     """The sum in words."""
     promise: str = Field(default="", examples=["0.42 of the gap, 0.35 to 0.48"])
-    """Shrinkage promised on new data."""
+    """Shrinkage promised."""
 
     @model_validator(mode="after")
     def _whole(self) -> "PatchTable":

@@ -15,9 +15,10 @@ from ocp.diagnose.engine.evidence import project
 from ocp.diagnose.engine.findings import Alternative, Diagnosis, Explanation, Name, Options
 from ocp.diagnose.engine.linearisation import linearised
 from ocp.diagnose.engine.pool import Member, make_pool
-from ocp.diagnose.foresee.anticipated import anticipated
+from ocp.diagnose.foresee.anticipated import anticipated, signal_gap
 from ocp.diagnose.rules import BACKGROUND_SIZES, NO_BACKGROUND
 from ocp.diagnose.tracker.background import DRAWS, _line, _Waves, _weights, _with_further, background
+from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.diagnose.tracker.refit import _width_of_weights, usual_noise
 from ocp.diagnose.verdict.answer import SignalGap, promised
 from ocp.diagnose.verdict.diagnosis import screened
@@ -438,3 +439,27 @@ def test_further_lines_of_gears_have_the_room_that_the_joint_noise_leaves():
     room = float(np.hypot(usual, size[0]))
     assert share(usual) < 0.05 and share(room) > 0.5
     assert share(room, found=size[0]) < 0.05  # what was found fills it
+
+
+def test_a_promise_says_whether_it_is_for_the_conditions_asked_for(monkeypatch):
+    """Not where these do not say what a name depends on, nor where the arm is judged by left-out readings."""
+    before = channel(world(70, PLANTED["backlash"][1])[0])
+    after = before.with_active((Active(LIBRARY["backlash"], 5, np.zeros(1), {}, np.zeros((1, 1))),))
+    asked = before.readings.take(np.arange(0, len(before.readings), 3))
+    warm = Active(LIBRARY["joint_thermal"], 4, np.zeros(1), {}, np.zeros((1, 1)))
+    lacking = replace(asked, temperature=None)
+    found = SimpleNamespace(active=after.active, held_out={}, left_over=(), patches=(), p_beside=0.0)
+
+    def told(others, sealed):
+        found.alternatives = others
+        return signal_gap(found, before, after, sealed)
+
+    sure = (Alternative(1.0, after.active),)
+    doubt = (Alternative(0.9, after.active), Alternative(0.1, (warm,)))
+    assert told(sure, asked).asked and told(sure, lacking).asked and told(doubt, asked).asked
+    general = told(sure, None)
+    assert not general.asked and not told(doubt, lacking).asked and told(doubt, lacking).shrinkage is not None
+    assert told(sure, asked).shrinkage != general.shrinkage
+    assert (told(sure, asked).there, general.there) == ("under the conditions asked for", "on new data")
+    monkeypatch.setattr(TrackerChannel, "restless", lambda self, level: True)
+    assert not told(sure, asked).asked

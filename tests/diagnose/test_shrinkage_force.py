@@ -13,11 +13,12 @@ from ocp.diagnose.engine.channel_system import Fold, HeldOut
 from ocp.diagnose.engine.findings import Alternative
 from ocp.diagnose.force import shrinkage
 from ocp.diagnose.force.channel import ForceChannel, force_channel
-from ocp.diagnose.force.fit import ForceProblem, fit_effects
+from ocp.diagnose.force.fit import ForceProblem, fit_effects, linear_normal
 from ocp.diagnose.force.held_out import Asked
 from ocp.diagnose.force.logged_contact import logged_arm
 from ocp.diagnose.force.prediction import LogScene, predict_forces
 from ocp.diagnose.force.shrinkage import LaterGrinding, after_log, anticipated_grinding, from_grinding
+from ocp.diagnose.foresee.anticipated import modelled
 from ocp.diagnose.rules import RUN_SD
 from ocp.diagnose.verdict.shrinkage import Shrinkage
 from ocp.effects.catalogue import library
@@ -228,6 +229,19 @@ def test_a_promise_for_the_conditions_asked_for_is_of_these_rows_and_no_others(w
     twice = replace(made, moved=np.tile(made.moved, 2), errors=np.tile(made.errors, (1, 2, 1)), run=np.tile(made.run, 2))
     assert from_grinding(twice, after.noise_floor**2).predicted == pytest.approx(told.predicted, rel=1e-9)
     assert asked.says(_wear().effect) and not asked.says(library()["wheel_temperature"])
+
+
+def test_conditions_wholly_in_the_air_are_predicted_and_promise_as_new_data_do(worn):
+    after, scene = worn.channel.with_active((_wear(),)), worn.later
+    air = replace(scene.rows, contact=np.zeros(len(scene.rows), bool))
+    there = replace(scene, rows=air, pressed=None)
+    asked = Asked(worn.channel.log, scene.model, worn.channel.problem.scene.rows, there, frozenset({"clock_s"}))
+    after.made["asked"] = asked
+    told = [modelled(worn.channel, after, (Alternative(1.0, after.active),), (), 0.0, None, one) for one in (asked.sealed, None)]
+    assert not told[0][1] and told[0][0] == told[1][0]
+    found = predict_forces(there, after.fit.at.x, after.active)
+    assert not found.F.any() and linear_normal(after.problem, there, found).shape[0] == len(air)
+    after.made.clear()
 
 
 @pytest.mark.parametrize("lost", [1, 2])

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from ocp.effects.catalogue import library
+from ocp.effects.cell_effects import effect_of
 from ocp.effects.context import LogRows
 from ocp.effects.engine.evaluate import CONTACT_LAYOUT, ContactPlace, added_overlap, contact_columns
 from tests.effects.test_effects import PLACES, SEEN, some
@@ -234,6 +235,11 @@ def test_a_flange_that_sticks_lets_go_at_once_and_is_held_again_over_its_limit()
     a, scanned = sticks.coefficients_of({"N": 0.7})
     assert scanned == {"turn_N": 0.7} and sticks.values(a, scanned) == {"N": 0.7, "turn_N": 0.7}
     assert sticks.coefficients_of({"N": 0.7, "turn_N": 0.2})[1] == {"turn_N": 0.2}
+    for wrong in (0.0, -0.4, np.nan):
+        with pytest.raises(ValueError, match="turn_N = .* is not above zero; leave it out"):
+            effect_of({"effect": "flange_friction", "N": 0.7, "turn_N": wrong})
+    with pytest.raises(ValueError, match="not a finite number"):
+        effect_of({"effect": "wheel_relaxation", "g": 0.1, "tau": np.nan})
 
 
 @pytest.mark.parametrize(("clocked", "turn"), [(0.0, 0.3), (1.0, 0.7)])

@@ -126,10 +126,10 @@ class ForceModel:
     def evaluate(self, kind: str, rows: PlacedRows, F: Array) -> Array:
         """Numbers (n, k) at forces F (n,) N: "state" (columns `STATE`: residual m and its slope in F m/N, overlap m, the four
         parts m and their slopes m/N, arc rad, lateral m, turn rad, tilts, relative curvature 1/m, T_base_blade by rows, give of
-        the joints N m^2, the parts' derivative in the friction m) "derivative" (of the residual in F, theta (m) and q (6)) or
-        "stroke" (the flange's derivative in theta at the same force). No rows: (0, 0)."""
+        the joints N m^2, the parts' derivative in the friction m), "derivative" (of the residual in F, theta (m) and q (6)) or
+        "stroke" (the flange's derivative in theta at the same force)."""
         if not len(F):
-            return np.empty((0, 0))
+            return np.empty((0, self._functions[kind].size1_out(0)))
         if "_functions" not in vars(self) and len(F) >= WORTH_COMPILING:
             compile_together(list(self._functions.values()))
         base = rows.base

@@ -210,7 +210,7 @@ def _memory(
         d_wheel=s.at("parts")[:, 1],
         d_flange=s.at("parts")[:, 0],
         stroke=past[1],
-        stiffness=made.stiffness,
+        stiffness=np.divide(1.0, whole[:, 0], out=np.zeros(len(whole)), where=whole[:, 0] > 0),
         wheel_share=share[:, 1],
         flange_share=share[:, 0],
         fn=past[2],

@@ -1,6 +1,7 @@
 """How far the gap of a force log shrinks: what the named effects change in grinding that comes after it.
 
-The log's recordings are ground once more, later on the same clock; nothing sealed is read. What wears, is ground away or drifts
+Where conditions are asked for, there: they hold no readings. Else the log's recordings are ground once more, later on the same
+clock. What wears, is ground away or drifts
 is larger there than in any part of the log that could be left out, and the baseline, registered on the log, does not follow. New
 readings are taken to come soon after the log's end or as much later as the log itself took, or, less probably, between its
 recordings. Where warmth counts the hall is as warm as at the log's end or goes on warming as it did, and the wheel is warm or has
@@ -157,13 +158,14 @@ def from_grinding(
     true = rng.choice(len(new.probability), DRAWS, p=new.probability)
     when = rng.choice(len(new.share), DRAWS, p=new.share)
     runs = int(new.run.max()) + 1
-    # A Dirichlet law of n weights a each is worth (n a + 1) / (a + 1) of them.
-    weight = (NEW_RECORDINGS - 1.0) / (runs - NEW_RECORDINGS) if runs > NEW_RECORDINGS else 1e3
-    even = 1.0 / (runs * np.bincount(new.run)[new.run])
-    rows = rng.dirichlet(np.full(runs, weight), DRAWS)[:, new.run] / np.bincount(new.run)[new.run]
     if new.whole:
         even = np.full(len(new.run), 1.0 / len(new.run))
-        rows = np.broadcast_to(even, rows.shape)
+        rows = np.broadcast_to(even, (DRAWS, len(even)))
+    else:
+        # A Dirichlet law of n weights a each is worth (n a + 1) / (a + 1) of them.
+        weight = (NEW_RECORDINGS - 1.0) / (runs - NEW_RECORDINGS) if runs > NEW_RECORDINGS else 1e3
+        even = 1.0 / (runs * np.bincount(new.run)[new.run])
+        rows = rng.dirichlet(np.full(runs, weight), DRAWS)[:, new.run] / np.bincount(new.run)[new.run]
     before, after, usual = (np.zeros(DRAWS) for _ in range(3))
     for k, moved in enumerate(new.moved):
         at = when == k
@@ -174,6 +176,6 @@ def from_grinding(
         before[at], usual[at] = np.sum(rows[at] * gap, axis=1), gap @ even
     errors_of_effects = [h.estimation for h in held if h.fold.kind == "random"]
     rest = unexplained(held, float(np.mean(errors_of_effects or [0.0])), rng) * (rng.uniform(size=DRAWS) < unknown)
-    if np.median(usual + rest) <= NO_GAP**2 * noise:  # of all the log's recordings alike
+    if np.median(usual + rest) <= NO_GAP**2 * noise:  # of all recordings alike
         return None
     return interval(1.0 - np.sqrt((after + rest) / (before + rest)))

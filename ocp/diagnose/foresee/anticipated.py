@@ -54,43 +54,67 @@ def signal_gap(diagnosis: Diagnosis, before: Channel, after: Channel, sealed: An
     told = tuple(
         (h.fold.name, realised(h.before, h.after, h.noise) if diagnosis.active else None) for h in held if h.fold.extrapolates
     )
-    sealed = asked_of(after, diagnosis.alternatives, sealed)
-    shrinkage = _shrinkage(diagnosis, before, after, held, float(np.mean(sizes[0] ** 2)), sealed)
+    shrinkage, asked = _shrinkage(diagnosis, before, after, held, float(np.mean(sizes[0] ** 2)), sealed)
     promise = {} if shrinkage in (None, NONE) else _by_kind(after, held, shrinkage)
     left = remaining(after, diagnosis.left_over)
     left = Remaining(scale * left.above_noise, left.p_value)
     figures = before.name, before.unit, after.noise_floor, sizes[0], sizes[1]
-    return SignalGap(*figures, shrinkage, promise, told, left, before, after, sealed is not None)
+    return SignalGap(*figures, shrinkage, promise, told, left, before, after, asked)
 
 
 def _shrinkage(
     diagnosis: Diagnosis, before: Channel, after: Channel, held: Sequence[HeldOut], square: float, sealed: Any
-) -> Shrinkage | None:
-    """What to expect on new data; square: mean square of the gap before in the channel's unit."""
+) -> tuple[Shrinkage | None, bool]:
+    """What to expect, and whether under the conditions `sealed`; square: mean square of the gap before in the channel's unit."""
     if not any(after.variants(a.effect, a.joint, [a.scanned]) for a in diagnosis.active):
         # Nothing is named that this signal shows, so nothing changes.
-        return NONE if realised(square, 0.0, after.noise_floor**2) is not None else None
-    if isinstance(before, TrackerChannel) and isinstance(after, TrackerChannel) and not after.restless(1.0):
-        others = seen_by(after.name, _what_may_be(diagnosis))
-        return from_model(anticipated(before, after, others, sealed), held, (after.noise_floor / SCALE[after.unit]) ** 2)
-    if before.name == "force":
-        from ocp.diagnose.force.shrinkage import of_grinding  # blade and contact: only for those who measured force
-
-        return of_grinding(before, after, seen_by(after.name, diagnosis.alternatives), held, diagnosis.p_beside, None, sealed)
+        return (NONE if realised(square, 0.0, after.noise_floor**2) is not None else None), False
+    of_arm = isinstance(after, TrackerChannel)
+    if before.name == "force" or (isinstance(after, TrackerChannel) and not after.restless(1.0)):
+        others = seen_by(after.name, _what_may_be(diagnosis) if of_arm else diagnosis.alternatives)
+        return modelled(before, after, others, held, diagnosis.p_beside, None, sealed)
     # Where noise is far above what is usual no model says what lasts of it: left-out readings do.
-    return from_folds(held, estimation_variance(after, active_columns(after)))
+    return from_folds(held, estimation_variance(after, active_columns(after))), False
 
 
-def asked_of(channel: Channel, others: Sequence[Alternative], sealed: Any) -> Any:
-    """Conditions that a channel is asked to predict where a promise can be for them: where they say all that the alternatives
-    depend on; else None."""
-    effects = [a.effect for one in others for a in one.active]
+def modelled(
+    before: Channel,
+    after: Channel,
+    others: Sequence[Alternative],
+    held: Sequence[HeldOut],
+    unknown: float,
+    carried: tuple[float, float] | None,
+    sealed: Any,
+) -> tuple[Shrinkage | None, bool]:
+    """What the models promise of tracker readings or forces, and whether under the conditions `sealed`: where these say all that
+    the alternatives depend on, and hold a gap to speak of. `held`, `unknown`, `carried`: as `of_grinding` has them."""
+    asked = _asked_of(after, others, sealed)
+    told = None
+    for conditions in [None] if asked is None else [asked, None]:
+        if isinstance(before, TrackerChannel) and isinstance(after, TrackerChannel):
+            noise = (after.noise_floor / SCALE[after.unit]) ** 2
+            told = from_model(anticipated(before, after, others, conditions), held, noise, carried)
+        else:
+            from ocp.diagnose.force.shrinkage import of_grinding  # blade and contact: only for those who measured force
+
+            told = of_grinding(before, after, others, held, unknown, carried, conditions)
+        if told is not None:
+            return told, conditions is not None
+    return None, False
+
+
+def _asked_of(channel: Channel, others: Sequence[Alternative], sealed: Any) -> Any:
+    """The conditions, where they say all that the alternatives depend on and the channel shows; else None."""
+    effects = [a.effect for one in others for a in one.active if not channel.blind(a.effect)]
     if sealed is None or not effects:
         return None
     if isinstance(channel, TrackerChannel):
         return sealed if all(has_columns(e, sealed) for e in effects) else None
-    asked = getattr(channel, "asked", None)
-    return sealed if asked is not None and all(map(asked(sealed).says, effects)) else None
+    from ocp.diagnose.force.channel import ForceChannel
+
+    assert isinstance(channel, ForceChannel)
+    asked = channel.asked(sealed)
+    return sealed if len(asked.there.touching) and all(map(asked.says, effects)) else None
 
 
 def _what_may_be(diagnosis: Diagnosis) -> tuple[Alternative, ...]:

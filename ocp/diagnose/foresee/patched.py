@@ -13,15 +13,14 @@ from numpy.typing import NDArray
 
 from ocp.diagnose.engine.channel_system import Channel, Scattering, Sealed, effects_key
 from ocp.diagnose.engine.findings import Alternative, Diagnosis, Options
-from ocp.diagnose.foresee.anticipated import anticipated, asked_of
+from ocp.diagnose.foresee.anticipated import modelled
 from ocp.diagnose.foresee.planned_tracker import channel_about
 from ocp.diagnose.rules import CARRIED_PATCH, LEADS
 from ocp.diagnose.tracker.channel import TrackerChannel
-from ocp.diagnose.verdict.answer import Patched, Unnamed, there_of
+from ocp.diagnose.verdict.answer import Patched, Unnamed
 from ocp.diagnose.verdict.doubts import errors_of_folds
 from ocp.diagnose.verdict.patching import conditions_by_name, is_patch, read_beside, unfaded, with_further
-from ocp.diagnose.verdict.remaining import SCALE
-from ocp.diagnose.verdict.shrinkage import Shrinkage, from_model
+from ocp.diagnose.verdict.shrinkage import Shrinkage
 from ocp.effects.effect import Active
 from ocp.effects.engine.readings import displaced, has_columns, motion
 from ocp.effects.patch import lengths_outside
@@ -67,12 +66,12 @@ def _as_seen(before: Channel, written: tuple[Active, ...], patches: tuple[Active
 def patched(found: Unnamed, named: Shrinkage | None, sealed: Any = None) -> Patched | None:
     """The patch that does no harm and promises more than the written names alone (`named`: what they promise); None: the low end
     of its promise is not above zero."""
-    sealed = asked_of(found.after, found.others, sealed)
-    promise = _promised(found.before, found.after, found.others, sealed)
+    held = errors_of_folds([found.after], found.after.active)[found.after.name]
+    promise, asked = modelled(found.before, found.after, found.others, held, 1.0, CARRIED_PATCH, sealed)
     less = 0.0 if named is None else named.predicted
     if promise is None or promise.low <= 0.0 or promise.predicted <= less:
         return None
-    return Patched(found.after, promise, found.others[1:], there_of(sealed is not None))
+    return Patched(found.after, promise, found.others[1:], asked)
 
 
 def _others(diagnosis: Diagnosis, written: tuple[Active, ...], after: Channel) -> tuple[Alternative, ...]:
@@ -93,16 +92,6 @@ def _others(diagnosis: Diagnosis, written: tuple[Active, ...], after: Channel) -
     names = [Alternative(known * one.probability, one.active) for one in diagnosis.instead if one.active]
     nothing = Alternative(known * sum(one.probability for one in diagnosis.instead if not one.active), written)
     return (Alternative(0.0, after.active), first, *rest, *names, nothing)
-
-
-def _promised(before: Channel, after: Channel, others: Sequence[Alternative], sealed: Any) -> Shrinkage | None:
-    held = errors_of_folds([after], after.active)[after.name]
-    if not (isinstance(before, TrackerChannel) and isinstance(after, TrackerChannel)):
-        from ocp.diagnose.force.shrinkage import of_grinding  # blade and contact: only for those who measured force
-
-        return of_grinding(before, after, others, held, 1.0, CARRIED_PATCH, sealed)
-    noise = (after.noise_floor / SCALE[after.unit]) ** 2
-    return from_model(anticipated(before, after, others, sealed), held, noise, CARRIED_PATCH)
 
 
 def beyond(channel: Channel, patches: Sequence[Active], sealed: Any) -> tuple[Array, NDArray[np.bool_]]:

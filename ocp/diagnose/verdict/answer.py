@@ -24,7 +24,7 @@ def there_of(asked: bool) -> str:
 @dataclass(frozen=True)
 class SignalGap:
     """The gap of one signal: channel before and after, sizes (n,) of the readings' errors in `unit`, outliers apart, noise
-    floor; shrinkage to expect on new data, promise by what is new in them, and by what was withheld (None: no gap there to
+    floor; shrinkage to expect, promise by what is new in them, and by what was withheld (None: no gap there to
     speak of); remaining: rms in `unit` above the instrument's noise after the effects, and the probability that noise alone
     leaves as much; asked: whether the shrinkage is that under the conditions that are to be predicted."""
 
@@ -60,12 +60,17 @@ class Unnamed:
 @dataclass(frozen=True)
 class Patched:
     """The channel with the written names and the patches; shrinkage that both promise together; others: what may stand in the
-    patches' place, with probabilities; there: of what it is promised."""
+    patches' place, with probabilities; asked: whether it is promised under the conditions that are to be predicted."""
 
     channel: Channel
     shrinkage: Shrinkage
     others: tuple[Alternative, ...]
-    there: str = "on new data"
+    asked: bool = False
+
+    @property
+    def there(self) -> str:
+        """Of what the shrinkage is promised."""
+        return there_of(self.asked)
 
     @property
     def patches(self) -> tuple[Active, ...]:

@@ -123,13 +123,12 @@ def _imitates(pool: CandidatePool, d: Array, family: int) -> bool:
     g, rows = pool.of(family)
     b = np.einsum("nvi,n->vi", g.X[:, rows], d)
     x = np.linalg.solve(g.G[rows] + np.eye(g.m), b[..., None])[..., 0]
-    each, own = np.einsum("vi,vi->v", b, x), pool.families[family]
-    best = int(np.argmax(each))
-    taken, size = float(each[best]), float(d @ d)
-    if taken <= rules.IMITATED * size or size - taken >= told_apart(len(own.scale)):
-        return False
-    doubt = None if own.effect is None else own.effect.doubt
-    return doubt is None or not doubt(x[best] * own.scale, np.zeros(g.m), own.scans[best])
+    each, own, size = np.einsum("vi,vi->v", b, x), pool.families[family], float(d @ d)
+    if own.effect is not None and own.effect.doubt is not None:  # what cannot be so large is no other name for it
+        sure = [own.effect.doubt(a * own.scale, np.zeros(g.m), s) for a, s in zip(x, own.scans, strict=True)]
+        each = np.where([bool(why) for why in sure], 0.0, each)
+    taken = float(each.max())
+    return bool(taken > rules.IMITATED * size and size - taken < told_apart(len(own.scale)))
 
 
 def merged(classes: Iterable[tuple[Name, ...]]) -> tuple[tuple[Name, ...], ...]:

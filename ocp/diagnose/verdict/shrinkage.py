@@ -1,4 +1,4 @@
-"""How far the gap shrinks once the named effects are in the model: predicted before anyone opens anything sealed.
+"""How far the gap shrinks once the named effects are in the model: predicted before anyone has measured there.
 
     G^2 = max(0, mean square of the error - noise^2),    shrinkage = 1 - G_after / G_before          (FORMATS)
 
@@ -27,7 +27,7 @@ SI = {"mm": 1e-3, "N": 1.0, "arcsec": float(np.radians(1.0) / 3600.0)}
 
 @dataclass(frozen=True)
 class Shrinkage:
-    """1 - G_after / G_before to expect on new data, with a 90 % interval; draws (k,) that these are of."""
+    """1 - G_after / G_before to expect, with a 90 % interval; draws (k,) that these are of."""
 
     predicted: float
     low: float
@@ -87,9 +87,10 @@ def from_model(
     for share, g in zip(_conditions(new, rng).T, new.groups, strict=True):
         n = g.errors.shape[0]
         off = (errors @ g.errors.reshape(3 * n, -1).T).reshape(-1, n, 3)
-        rows = share[:, None] * rng.dirichlet(np.ones(n), DRAWS)  # postures drawn anew (Rubin 1981, the Bayesian bootstrap)
         if new.whole:
             rows = np.full((DRAWS, n), 1.0 / sum(len(one.joints) for one in new.groups))
+        else:  # postures drawn anew (Rubin 1981, the Bayesian bootstrap)
+            rows = share[:, None] * rng.dirichlet(np.ones(n), DRAWS)
         joints = lasting @ g.joints.T
         truth = g.moved[true] if there is None else g.moved[-1] + there * (g.moved[true] - g.moved[-1])
         after += np.sum(rows * (np.sum((g.moved[0] - truth + off) ** 2, axis=2) + joints), axis=1)
