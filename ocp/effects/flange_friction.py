@@ -4,7 +4,7 @@ Stick friction of N newtons (DIAGNOSIS, catalogue: sign of its stroke rate). Whi
 the flange is pressed in and N less as it extends; after a turn of the motion it stands, the contact alone gives way, and the
 friction goes from one limit to the other over about 2 N / (K + k) of the stroke that a flange without friction would have made, k
 its stiffness and K that of all behind it. With u = (K + k) times that stroke the friction f follows df = du where it lets go and
-df = (1 - f^2 / N^2) du where it builds up (Bouc and Wen's hysteresis at exponent 2: Ismail, Ikhouane and Rodellar 2009, eq. 2):
+df = (1 - f^2 / N^2) du where it builds up (Bouc and Wen's hysteresis at exponent 2; survey: Ismail, Ikhouane and Rodellar 2009):
 f = N tanh(u / N) from rest, and so a fit finds its way. What touches the wheel has pressed the flange in. Derivatives hold K
 and k still, which is a twentieth of them, a third where an effect scales these.
 """
