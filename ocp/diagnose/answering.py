@@ -37,7 +37,7 @@ from ocp.diagnose.engine.findings import Alternative, Diagnosis
 from ocp.diagnose.foresee.anticipated import signal_gap
 from ocp.diagnose.foresee.next_experiment import next_experiments
 from ocp.diagnose.foresee.patched import beside_unknown, patched, unnamed, with_patch
-from ocp.diagnose.report.verdict_sentence import diagnosis_headline
+from ocp.diagnose.report.verdict_sentence import diagnosis_headline, not_written
 from ocp.diagnose.rules import FOLLOWED_FORCE
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.diagnose.tracker.refit import believed_baseline
@@ -300,13 +300,10 @@ def _written(folder: Path, output: Output, phases: Phases, columns: Path | None)
 
 def last_line(answer: Answer, out: Path) -> str:
     """What was found, and where it stands."""
-    head = diagnosis_headline(answer)
-    harmed = dict.fromkeys(kind for g in answer.gaps for kind, one in g.promise.items() if one.high < 0.0)
-    why = f"{', '.join(harmed)}, when left out, said that these effects harm" if harmed else ""
-    safe = f"The believed cell stays as it is: {why or 'what these effects promise may be nothing, or harm'}"
-    if answer.corrections or not answer.diagnosis.active:
-        safe = _safe(answer, out)
-    return f"{out}: {head.verdict} {head.sentence.rstrip('.')}. {safe}; {out / 'report.html'} shows why."
+    head, kept = diagnosis_headline(answer), not_written(answer)
+    safe = "" if kept and not answer.corrections else f"; {_safe(answer, out)}"
+    told = f". {kept.rstrip('.')}{safe}" if kept else f".{safe[1:]}"
+    return f"{out}: {head.verdict} {head.sentence.rstrip('.')}{told}; {out / 'report.html'} shows why."
 
 
 def _safe(answer: Answer, out: Path) -> str:
@@ -314,8 +311,9 @@ def _safe(answer: Answer, out: Path) -> str:
     if answer.patch is not None:
         told = "what is known, and a patch for the rest" if answer.written else "a patch for it"
         return f"{out / 'corrected_cell.toml'} holds {told}, which explains nothing and fades outside what was measured"
+    planned = any(one.effect.along is None for one in answer.written)  # what depends on a recording's past is in no plan
     return {
-        "explained": f"{out / 'corrected_cell.toml'} plans with it",
+        "explained": f"{out / 'corrected_cell.toml'} {'plans with it' if planned else 'holds it, which no plan can act on'}",
         "ambiguous": f"{out / 'corrected_cell.toml'} holds the likeliest; measure what the report asks for before relying on it",
         "partly": f"{out / 'corrected_cell.toml'} holds what is known",
         "unexplained": "Do not rely on the believed cell there",

@@ -55,25 +55,34 @@ def write_corrected_cell(folder: Path, out: Path, data: DataSet, channels: Seque
         tables["effects"] = named
     patches = [patch_table(one, formula_of(one), "believed") for one in total if is_patch(one.effect)]
     if answer.patch is not None:
-        patches += [patch_table(one, formula_of(one), promise_words(answer.patch.shrinkage)) for one in answer.patch.patches]
+        told = promise_words(answer.patch.shrinkage, bool(answer.written))
+        patches += [patch_table(one, formula_of(one), told) for one in answer.patch.patches]
     if patches:
         tables["patches"] = patches
     text = f"# {source.name} with what ocp.diagnose found\n" + toml_text(tables)
     (folder / "corrected_cell.toml").write_text(text, encoding="utf-8")
 
 
-def promise_words(told: Shrinkage) -> str:
-    """A promise as a cell tells it."""
-    return f"{100 * told.predicted:.0f} % of the gap ({100 * told.low:.0f} to {100 * told.high:.0f} %), with the effects"
+def promise_words(told: Shrinkage, named: bool) -> str:
+    """A promise as a cell tells it; `named`: with effects beside."""
+    beside = ", with the effects" if named else ""
+    return f"{100 * told.predicted:.0f} % of the gap ({100 * told.low:.0f} to {100 * told.high:.0f} %){beside}"
 
 
 def summed(believed: Sequence[Active], found: Sequence[Active]) -> list[Active]:
-    """Believed effects with what was found on top of them: coefficients of the same effect, joint and scanned values add up, with
-    the covariance of what was fitted."""
-    total = {(a.key, scan_key(a.scanned)): a for a in believed}
+    """Believed effects with what was found on top of them: coefficients of the same effect, joint and scanned values, but those
+    that follow from its size, add up, with the covariance of what was fitted."""
+
+    def key(one: Active) -> tuple[object, ...]:
+        return one.key, () if one.effect.own_size is not None else scan_key(one.scanned)
+
+    total = {key(a): a for a in believed}
     for one in found:
-        key = (one.key, scan_key(one.scanned))
-        total[key] = replace(one, a=one.a + total[key].a) if key in total else one
+        if (known := total.get(key(one))) is not None:
+            a = one.a + known.a
+            scanned = one.scanned if one.effect.own_size is None else {**one.scanned, **one.effect.own_size(a)}
+            one = replace(one, a=a, scanned=scanned)
+        total[key(one)] = one
     return list(total.values())
 
 

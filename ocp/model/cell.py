@@ -269,6 +269,20 @@ def with_calibration(cell: Cell, calibration: Calibration | None) -> Cell:
     return replace(cell, calibration=calibration, compliant_joints=_bending(calibration, cell.compliant_joints))
 
 
+def held_by_friction(cell: Cell) -> float:
+    """N that the flange's friction holds, its own and a believed effect's: so far off may the contact's force be to either side,
+    by which way the stroke last went. 0 without a flange."""
+    if cell.flange is None:
+        return 0.0
+    return cell.flange.friction + sum(abs(float(e.a[0])) for e in cell.effects if e.name == "flange_friction")
+
+
+def history_notices(cell: Cell, where: str) -> list[str]:
+    """Sentence on effects that a cell believes and that depend on what a recording did before; `where`: where they are not."""
+    names = sorted({e.name for e in cell.effects if e.active.effect.along is not None})
+    return [f"what a recording did before decides of {', '.join(names)} in {cell.path.name}: {where}"] if names else []
+
+
 def floor_notices(cell: Cell) -> list[str]:
     """A sentence where no floor could be checked."""
     if cell.floor is not None:

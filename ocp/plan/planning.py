@@ -10,7 +10,7 @@ import numpy as np
 from ocp.contact.wheel.cover import Cover
 from ocp.contact.wheel.law import WheelLaw
 from ocp.model.blade_gap import SurfaceCloud
-from ocp.model.cell import Cell, floor_notices, read_cell
+from ocp.model.cell import Cell, floor_notices, history_notices, read_cell
 from ocp.model.prepare import ContactModel, prepare_contact
 from ocp.model.theta import Theta, registered
 from ocp.plan.accuracy import WorkingAccuracy, working_accuracy
@@ -139,7 +139,8 @@ def cell_to_plan(cell_file: Path, blade_file: Path | None, options: PlanOptions)
         raise BadInput(f"{cell_file}: no blade; name it on the command line or as workpiece.stl")
     _refuse_options(cell_file, cell, options)
     hanging = {cell.workpiece.payload_name: cell.workpiece.payload}
-    return cell, floor_notices(cell) + refuse_overload(str(cell_file), cell.robot, hanging)
+    told = history_notices(cell, "no part of the plan; friction of the flange is in the force's standard deviation")
+    return cell, told + floor_notices(cell) + refuse_overload(str(cell_file), cell.robot, hanging)
 
 
 @dataclass(frozen=True)

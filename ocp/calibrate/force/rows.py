@@ -22,7 +22,7 @@ from ocp.contact.wheel.law import WheelLaw
 from ocp.contact.wheel.law_fit import FORCE_RANGE, Domain, remembered_law
 from ocp.effects.engine.symbolic import CONDITIONS
 from ocp.model.blade_gap import SurfaceCloud
-from ocp.model.cell import Cell, Workpiece
+from ocp.model.cell import Cell, Workpiece, history_notices
 from ocp.model.prepare import typical_patch, wheel_cover
 from ocp.plan.paths import surface_cloud
 from ocp.shell.cache import Entry, code_hash, content_key, flattened, rebuilt, remember
@@ -197,7 +197,8 @@ def prepare_force(cell: Cell, logs: Sequence[ForceLog]) -> ForceSetup:
     whole = with_indentation_correction(model, cover, cloud, whole, _about(cell, logs, law))
     edges = [0, *_cuts(logs).tolist(), len(whole)]
     rows = tuple(whole.take(slice(i, j)) for i, j in pairwise(edges))
-    notices = (*blade.notices, *shape.notices, *(text for point in points for text in point.notices))
+    told = history_notices(cell, "not taken out of the log")
+    notices = (*told, *blade.notices, *shape.notices, *(text for point in points for text in point.notices))
     return ForceSetup(model, rows, notices)
 
 

@@ -34,7 +34,9 @@ from ocp.diagnose.rules import LEAST_DIRECTION, LOOSE, ORDERS_APART, RAN_OFF
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.effects.belt_splice import EFFECT as SPLICE
 from ocp.effects.catalogue import library
+from ocp.effects.cell_effects import effect_of
 from ocp.effects.effect import Active, Effect, Scanned, Surroundings, scan_key
+from ocp.effects.flange_friction import EFFECT as FRICTION
 from ocp.effects.motor_harmonic import ratios_of
 from ocp.model.cell import Cell, with_calibration
 from robots.calibration.store import Calibration
@@ -316,7 +318,7 @@ def problem_of(
     setup: ForceSetup, cell: Cell, log: ForceLog, arm: Calibration | None, pressed: Flags | None = None
 ) -> ForceProblem:
     """The problem of a log that is the first of a setup; pressed (n,): rows that only contact explains, as the readings say."""
-    effects, cell = [e.active for e in cell.effects], replace(cell, effects=())
+    effects, cell = [*(e.active for e in cell.effects), *_own_friction(cell)], replace(cell, effects=())
     believed = contact_prior(cell, arm)
     known, theta = log_conditions(cell, log), believed.mean[:M]
     given = tuple(a for a in effects if known.given.issuperset(a.effect.needs))
@@ -324,6 +326,12 @@ def problem_of(
     pressed = pressed_rows(setup.model, log) if pressed is None else pressed
     scene = LogScene(cell, setup.model, setup.rows[0], known, own, theta, given, pressed)
     return ForceProblem.of(log, scene, believed, setup.notices)
+
+
+def _own_friction(cell: Cell) -> list[Active]:
+    """What the cell states of its flange's friction, as an effect."""
+    held = 0.0 if cell.flange is None else cell.flange.friction
+    return [effect_of({"effect": FRICTION.name, "N": held}).active] if held else []
 
 
 def predict_believed(cell: Cell, log: ForceLog, sealed: ForceLog, tracker: Path | None = None) -> Array:

@@ -102,8 +102,10 @@ def diagnosis_headline(answer: Answer) -> Headline:
     named = [f"{effect_words(Name(*a.key))}: {values_words(a.parameters, a.deviations)}" for a in d.active]
     facts = [("Where", _where(answer)), ("What", "; ".join(named) or "no effect is named"), ("How sure", _how_sure(answer))]
     facts.append(("How much better", _better(answer)))
+    if kept := not_written(answer):
+        facts.append(("Not corrected", kept))
     if answer.patch is not None:
-        facts.append(("Patch", _patch(answer.patch)))
+        facts.append(("Patch", _patch(answer.patch, bool(answer.written))))
     if answer.next:
         first = answer.next[0]
         facts.append(("What next", f"{_capital(first.do)} ({first.minutes:.0f} min). It tells {_apart(first.tells_apart)}."))
@@ -112,11 +114,24 @@ def diagnosis_headline(answer: Answer) -> Headline:
     return Headline(verdict in ("explained", "no_gap"), VERDICTS[verdict], verdict_sentence(answer), tuple(facts))
 
 
-def _patch(patch: Patched) -> str:
-    """What is corrected without a name, and what that promises."""
+def _patch(patch: Patched, beside: bool) -> str:
+    """What is corrected without a name, `beside` names or alone, and what that promises."""
     told = f"{shrinkage_words(patch.shrinkage)} of the {patch.channel.name} gap should be gone {patch.there}"
     what = "; ".join(formula_of(one) for one in patch.patches)
-    return f"With what has no name corrected as well, {told}. It explains nothing, and fades outside what was measured: {what}"
+    alone = "as well" if beside else "alone, and no name"
+    return f"With what has no name corrected {alone}, {told}. It explains nothing, and fades outside what was measured: {what}"
+
+
+def not_written(answer: Answer) -> str:
+    """Which named effects the corrected cell does not hold, and why; empty where it holds all."""
+    held = {a.key for a in answer.written}
+    kept = [Name(*a.key) for a in answer.diagnosis.active if a.key not in held]
+    if not kept:
+        return ""
+    harmed = dict.fromkeys(kind for g in answer.gaps for kind, one in g.promise.items() if one.high < 0.0)
+    why = f"{', '.join(harmed)}, when left out, said that they harm" if harmed else "what they promise may be nothing, or harm"
+    which = "The named effects are" if not held else f"{_capital(effects_words(kept))} {'is' if len(kept) == 1 else 'are'}"
+    return f"{which} not in the corrected cell: {why.replace('they', 'it') if held and len(kept) == 1 else why}."
 
 
 def verdict_sentence(answer: Answer) -> str:

@@ -7,7 +7,7 @@ import casadi as ca
 import numpy as np
 
 from ocp.contact.wheel.law import WheelLaw
-from ocp.model.cell import Cell
+from ocp.model.cell import Cell, held_by_friction
 from ocp.model.force_balance import Model, bending, build_model
 from ocp.model.theta import Theta
 from ocp.plan.passes.posture import joints_near, poses_along, turned_curvature, wrist_radius
@@ -141,7 +141,7 @@ class PassSolver:
         out = self._evaluate.map(len(q))(q.T, force[None], self._waypoints(problem).T, theta)
         *numbers, pose, sensitivity = (np.asarray(o).T for o in out)
         values = [v[:, 0] if v.shape[1] == 1 else v for v in numbers]
-        sd = np.sqrt(np.square(np.einsum("ni,ri->nr", sensitivity, self._root)).sum(axis=1))
+        sd = np.sqrt(np.square(np.einsum("ni,ri->nr", sensitivity, self._root)).sum(axis=1) + held_by_friction(self.cell) ** 2)
         return Evaluation(*[*values, pose.reshape(-1, 4, 4), sd])
 
     def _waypoints(self, problem: PassProblem) -> Array:
