@@ -78,3 +78,9 @@ def test_effects_add_up_where_they_are_the_same_and_stand_side_by_side_else():
     assert total[("backlash", 5), None]["half_width_rad"] == pytest.approx(1e-4)
     assert total[("gear_harmonic", 2), 17.0]["amplitude_rad"] == pytest.approx(2e-4)
     assert total[("gear_harmonic", 2), 18.0]["amplitude_rad"] == pytest.approx(1e-4)
+    # What acts at its own size is one effect of the whole size.
+    sticks = [effect_of({"effect": "flange_friction", "N": n, "turn_N": turn}).active for n, turn in ((0.3, 0.3), (0.4, 1.5))]
+    late = [effect_of({"effect": "time_delay", "s": s}).active for s in (0.01, 0.005)]
+    (stick, delay) = summed([sticks[0], late[0]], [sticks[1], late[1]])
+    assert stick.parameters == pytest.approx({"N": 0.7, "turn_N": 0.7})
+    assert delay.parameters["s"] == pytest.approx(0.015) and delay.scanned["size"] == pytest.approx(0.015)

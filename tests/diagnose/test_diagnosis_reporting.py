@@ -91,3 +91,23 @@ def test_what_a_log_never_saw_is_told_of_sealed_grinding():
     told = beyond_log(log, SimpleNamespace(**(rows | far | {"path": Path("sealed_force.csv")})))
     assert "without belt_m_s, which the log has" in told[0] and "2 of 4 rows have setpoint_N" in told[1]
     assert "feed_mm_s outside of what was measured (40 to 40)" in told[2] and "4 of 4 rows have clock_s" in told[3]
+
+
+def test_what_is_named_and_not_corrected_is_told_with_its_reason():
+    def active(name, joint):
+        return SimpleNamespace(key=(name, joint))
+
+    def told(written, high):
+        gap = SimpleNamespace(promise={"another setpoint": SimpleNamespace(high=high)})
+        found = SimpleNamespace(active=(active("backlash", 3), active("wheel_wear", 0)))
+        return verdict_sentence.not_written(SimpleNamespace(diagnosis=found, written=written, gaps=(gap,)))
+
+    both = (active("backlash", 3), active("wheel_wear", 0))
+    assert told(both, -1.0) == ""
+    assert (
+        told((), -1.0) == "The named effects are not in the corrected cell: another setpoint, when left out, said that they harm."
+    )
+    assert told((), 0.5) == "The named effects are not in the corrected cell: what they promise may be nothing, or harm."
+    assert told(both[1:], -1.0).startswith(
+        "Backlash of joint 3 is not in the corrected cell: another setpoint, when left out, said"
+    )

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from ocp.calibrate.force.model import ForceModel, ForceRows
 from ocp.effects.cell_effects import effect_of, patch_effect_of
 from ocp.effects.engine.symbolic import CONDITIONS
-from ocp.model.cell import Cell, RunConditions, read_cell
+from ocp.model.cell import Cell, RunConditions, held_by_friction, history_notices, read_cell
 from ocp.model.theta import NAMES, believed_theta, with_effects
 from ocp.plan.__main__ import app
 from ocp.plan.clearance import CollisionScene
@@ -185,6 +185,21 @@ def test_the_sd_of_an_effect_enters_that_of_the_force():
     less, more = (solver_of(c).evaluate(at, q, at.path.force) for c in (sure, unsure))
     added = np.sqrt(more.force_sd**2 - less.force_sd**2)
     assert added == pytest.approx(4e-4 * more.stiffness, rel=1e-6)
+
+
+def test_friction_of_the_flange_is_doubt_of_the_force_and_no_more():
+    at, (solver, q) = problem(), plain()
+    sticky = cell_with({"effect": "flange_friction", "N": 0.6})
+    rough = replace(sticky, flange=replace(sticky.flange, friction=0.2))
+    before = solver.evaluate(at, q, at.path.force)
+    for cell, held in ((sticky, 0.6), (rough, 0.8)):
+        told = solver_of(cell).evaluate(at, q, at.path.force)
+        assert told.residual == pytest.approx(before.residual, abs=1e-12)
+        assert told.force_sd == pytest.approx(np.hypot(before.force_sd, held), rel=1e-9)
+    assert held_by_friction(replace(rough, flange=None)) == 0.0
+    assert history_notices(solver.cell, "x") == []
+    (told,) = history_notices(rough, "no part of the plan")
+    assert "flange_friction" in told and told.endswith("no part of the plan")
 
 
 def test_a_force_log_of_a_cell_with_effects_sees_them():

@@ -129,9 +129,11 @@ def not_written(answer: Answer) -> str:
     if not kept:
         return ""
     harmed = dict.fromkeys(kind for g in answer.gaps for kind, one in g.promise.items() if one.high < 0.0)
-    why = f"{', '.join(harmed)}, when left out, said that they harm" if harmed else "what they promise may be nothing, or harm"
-    which = "The named effects are" if not held else f"{_capital(effects_words(kept))} {'is' if len(kept) == 1 else 'are'}"
-    return f"{which} not in the corrected cell: {why.replace('they', 'it') if held and len(kept) == 1 else why}."
+    one = bool(held) and len(kept) == 1
+    which = f"{_capital(effects_words(kept))} {'is' if one else 'are'}" if held else "The named effects are"
+    doubt = "what it promises may be nothing" if one else "what they promise may be nothing"
+    why = f"{', '.join(harmed)}, when left out, said that {'it harms' if one else 'they harm'}" if harmed else f"{doubt}, or harm"
+    return f"{which} not in the corrected cell: {why}."
 
 
 def verdict_sentence(answer: Answer) -> str:
