@@ -10,16 +10,22 @@ import pytest
 
 from ocp.calibrate.force.log import ForceLog, read_force_log
 from ocp.calibrate.force.model import ForceModel
-from ocp.calibrate.force.rows import log_conditions
+from ocp.calibrate.force.rows import ForceSetup, log_conditions, prepare_force
 from ocp.calibrate.force.whitener import Whitener
 from ocp.diagnose.answering import _shown
 from ocp.diagnose.engine.channel_system import Fold
 from ocp.diagnose.engine.findings import Name, Options
 from ocp.diagnose.engine.kernels import kernels
-from ocp.diagnose.force.channel import ForceChannel, force_channel
+from ocp.diagnose.force.channel import ForceChannel, force_channel, problem_of
 from ocp.diagnose.force.fit import ForceProblem, fit_effects
 from ocp.diagnose.force.logged_contact import hook_columns
-from ocp.diagnose.force.prediction import acts_by_force, effect_derivatives, force_derivatives, predict_forces
+from ocp.diagnose.force.prediction import (
+    acts_by_force,
+    effect_derivatives,
+    force_derivatives,
+    nuisance_derivatives,
+    predict_forces,
+)
 from ocp.diagnose.force.prior import contact_prior, with_setpoints_read_off
 from ocp.diagnose.foresee.patched import beside_unknown, patched, unnamed, with_patch
 from ocp.diagnose.verdict.answer import Patched
@@ -29,6 +35,8 @@ from ocp.diagnose.verdict.shrinkage import Shrinkage
 from ocp.effects.catalogue import library
 from ocp.effects.cell_effects import effect_of
 from ocp.effects.effect import Active, Effect
+from ocp.model.theta import NAMES
+from robots.errors import Infeasible
 from tests.support.diagnosis_force_world import HEADER, Base, Planted, log_of, moved_joints
 from tests.support.force_world import arm_posterior, write_log
 
@@ -404,6 +412,46 @@ def test_forces_that_no_operator_chose_are_no_setpoints(made):
     moved = replace(steady, fn=steady.fn * np.where(later, 0.6, 1.0))
     assert with_setpoints_read_off(replace(moved, session=later.astype(int), sessions=("a", "b")), own) is None
     assert with_setpoints_read_off(moved, own) is not None
+
+
+def test_a_fit_that_leaves_far_more_than_none_is_no_fit(made, monkeypatch):
+    off = replace(made.channel.fit, at=replace(made.channel.fit.at, fn=made.channel.fit.at.fn + 3.0))
+    monkeypatch.setattr("ocp.diagnose.force.channel.fit_effects", lambda *told: off)
+    with pytest.raises(Infeasible, match="with sensor_bias the fit of the force log runs off"):
+        made.channel.with_active((_active("sensor_bias"),))
+
+
+def test_friction_follows_the_setpoint_and_the_stroke_follows_the_force(made):
+    scene, fit = made.channel.problem.scene, made.channel.fit
+    held = (replace(_active("flange_friction", 0, {"turn_N": 0.4}), a=np.array([0.4])),)
+    setpoint, h = NAMES.index("flange_setpoint_offset"), 0.02
+    x = fit.at.x
+    step = h * np.eye(len(x))[setpoint]
+    at = predict_forces(scene, x, held, fit.at)
+    ends = [predict_forces(scene, x + sign * step, held, at) for sign in (1.0, -1.0)]
+    slopes = force_derivatives(scene, at)
+    told = nuisance_derivatives(scene, at, slopes[0])[0][:, setpoint]
+    rows = scene.touching
+    differences = (ends[0].fn - ends[1].fn)[rows] / (2 * h)
+    assert told[rows] == pytest.approx(differences, abs=0.02)
+    # The parts are those of the force that is told, not of the step before it.
+    give, force = at.samples.at("slopes")[rows, 0], at.F[rows]
+    near = predict_forces(scene, x + 1e-3 * step, held, at)
+    moved = near.samples.at("parts")[rows, 0] - at.samples.at("parts")[rows, 0]
+    assert moved == pytest.approx(give * (near.F[rows] - force - 1e-3 * h), abs=1e-13)
+
+
+def test_friction_that_a_cell_states_is_believed_and_what_no_fit_takes_out_is_told(made):
+    cell = made.base.world.cell
+    stated = replace(cell, flange=replace(cell.flange, friction=0.3))
+    setup = ForceSetup(made.channel.problem.scene.model, (made.channel.problem.scene.rows,), ())
+    problem = problem_of(setup, stated, made.channel.log, arm_posterior(cell), made.channel.problem.scene.pressed)
+    (given,) = problem.scene.given
+    assert given.key == ("flange_friction", 0) and given.parameters == {"N": 0.3, "turn_N": 0.3}
+    assert problem_of(setup, cell, made.channel.log, arm_posterior(cell), problem.scene.pressed).scene.given == ()
+    believing = replace(cell, effects=(effect_of({"effect": "flange_friction", "N": 0.3}),))
+    told = [one for one in prepare_force(believing, [made.channel.log]).notices if "flange_friction" in one]
+    assert len(told) == 1 and told[0].endswith("not taken out of the log")
 
 
 def test_a_rigid_cell_is_a_channel_too(made):

@@ -8,7 +8,7 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from ocp.diagnose import rules
-from ocp.diagnose.answering import beside_others
+from ocp.diagnose.answering import _at_rest, beside_others
 from ocp.diagnose.engine.beam import Weighed
 from ocp.diagnose.engine.channel_system import Fold, HeldOut, Sealed
 from ocp.diagnose.engine.evidence import project
@@ -26,6 +26,7 @@ from ocp.diagnose.verdict.probabilities import alternatives, gathered, posterior
 from ocp.diagnose.verdict.remaining import Remaining, remaining
 from ocp.diagnose.verdict.shrinkage import (
     ANOTHER_DAY,
+    NONE,
     Anticipated,
     NewReadings,
     Shrinkage,
@@ -36,6 +37,7 @@ from ocp.diagnose.verdict.shrinkage import (
 )
 from ocp.effects.effect import Active
 from ocp.effects.patch import make_patch
+from robots.errors import Infeasible
 from robots.gravity import GRAVITY
 from tests.diagnose.test_diagnosis_engine import problem_of
 from tests.diagnose.test_diagnosis_tracker import LIBRARY, channel, column, diagnosed, world
@@ -461,5 +463,31 @@ def test_a_promise_says_whether_it_is_for_the_conditions_asked_for(monkeypatch):
     assert not general.asked and not told(doubt, lacking).asked and told(doubt, lacking).shrinkage is not None
     assert told(sure, asked).shrinkage != general.shrinkage
     assert (told(sure, asked).there, general.there) == ("under the conditions asked for", "on new data")
+    # An effect that no reading of this signal shows asks for nothing here.
+    wear = Active(LIBRARY["wheel_wear"], 0, np.zeros(1), {}, np.zeros((1, 1)))
+    assert told((Alternative(0.9, after.active), Alternative(0.1, (*after.active, wear))), replace(asked, time=None)).asked
+    with monkeypatch.context() as patch:  # no gap there to speak of
+        patch.setattr("ocp.diagnose.foresee.anticipated.from_model", lambda new, *rest: None if new.whole else NONE)
+        assert told(sure, asked).shrinkage == NONE and not told(sure, asked).asked
     monkeypatch.setattr(TrackerChannel, "restless", lambda self, level: True)
     assert not told(sure, asked).asked
+
+
+def test_of_postures_that_are_asked_for_none_is_drawn():
+    """Postures at which the effect moves ten times as much as at the others, and an error that is the same at all."""
+    made = new(24.0, lasting=5.0)
+    far = np.where(np.arange(made.groups[0].moved.shape[1]) % 4, 0.1, 1.0)[:, None]
+    group = replace(made.groups[0], moved=made.groups[0].moved * far, errors=1e-6 * made.groups[0].errors)
+    asked, drawn = (from_model(replace(made, groups=(group,), whole=whole), [], 1.0) for whole in (True, False))
+    assert asked.high - asked.low < 1e-3 < 0.05 < drawn.high - drawn.low
+
+
+def test_names_that_no_fit_takes_without_the_others_are_not_written():
+    def fails(active):
+        raise Infeasible("no rest")
+
+    play, drift = SimpleNamespace(key=("backlash", 1), scanned={}), SimpleNamespace(key=("tracker_drift", 0), scanned={})
+    taking = SimpleNamespace(active=(play, drift), baseline=(SimpleNamespace(with_active=lambda active: None),))
+    refusing = SimpleNamespace(active=(play, drift), baseline=(SimpleNamespace(with_active=fails),))
+    assert _at_rest(taking, (play,)) == (play,) and _at_rest(refusing, (play,)) == ()
+    assert _at_rest(refusing, (play, drift)) == (play, drift)  # they stand as they were fitted

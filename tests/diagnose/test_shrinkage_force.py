@@ -108,6 +108,15 @@ def test_what_is_there_under_no_name_is_there_afterwards_too():
     assert told(NOISE + 0.25).predicted == pytest.approx(1 - np.sqrt(left / (left + 0.25)), abs=0.05)
 
 
+def test_of_rows_that_are_asked_for_nothing_is_drawn():
+    """It is no matter which recording a row belongs to, as it is where recordings are drawn."""
+    made = new(0.5)
+    uneven = replace(made, moved=made.moved * np.where(made.run % 4, 0.1, 1.0))
+    one = np.arange(len(made.run)) % 3
+    asked, drawn = ([promise(replace(uneven, whole=whole, run=run)) for run in (made.run, one)] for whole in (True, False))
+    assert asked[0] == asked[1] and drawn[0] != drawn[1]
+
+
 def test_intervals_hold_what_they_say():
     """Worlds drawn from the anticipation itself, three recordings in each."""
     rng, made = np.random.default_rng(1), new(0.15, 0.25, 0.35)

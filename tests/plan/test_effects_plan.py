@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ocp.calibrate.force.model import ForceModel, ForceRows
+from ocp.data import BLADE, CELL
 from ocp.effects.cell_effects import effect_of, patch_effect_of
 from ocp.effects.engine.symbolic import CONDITIONS
 from ocp.model.cell import Cell, RunConditions, held_by_friction, history_notices, read_cell
@@ -21,6 +22,8 @@ from ocp.plan.passes.posture import find_seeds
 from ocp.plan.passes.problem import WINDOW, PassProblem, approach_signs, with_direction
 from ocp.plan.passes.solve import PassSolver
 from ocp.plan.passes.stage import ObjectiveWeights
+from ocp.plan.paths import PlanOptions
+from ocp.plan.planning import cell_to_plan
 from ocp.plan.second_route import BelievedRobot, moved_arm
 from robots.errors import BadInput
 from robots.reference_kinematics import elementary_forward
@@ -200,6 +203,14 @@ def test_friction_of_the_flange_is_doubt_of_the_force_and_no_more():
     assert history_notices(solver.cell, "x") == []
     (told,) = history_notices(rough, "no part of the plan")
     assert "flange_friction" in told and told.endswith("no part of the plan")
+
+
+def test_a_plan_tells_what_it_does_not_act_on(tmp_path):
+    (tmp_path / "blade.stl").write_bytes(BLADE.read_bytes())
+    text = CELL.read_text() + '\n[[effects]]\neffect = "flange_friction"\nN = 0.6\n'
+    (tmp_path / "cell.toml").write_text(text)
+    _, told = cell_to_plan(tmp_path / "cell.toml", tmp_path / "blade.stl", PlanOptions())
+    assert "decides of flange_friction in cell.toml: no part of the plan; friction of the flange is in" in told[0]
 
 
 def test_a_force_log_of_a_cell_with_effects_sees_them():
