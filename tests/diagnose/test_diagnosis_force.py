@@ -16,6 +16,7 @@ from ocp.diagnose.answering import _shown
 from ocp.diagnose.engine.channel_system import Fold
 from ocp.diagnose.engine.findings import Name, Options
 from ocp.diagnose.engine.kernels import kernels
+from ocp.diagnose.force import prediction
 from ocp.diagnose.force.channel import ForceChannel, force_channel, problem_of
 from ocp.diagnose.force.fit import ForceProblem, fit_effects
 from ocp.diagnose.force.logged_contact import hook_columns
@@ -421,7 +422,7 @@ def test_a_fit_that_leaves_far_more_than_none_is_no_fit(made, monkeypatch):
         made.channel.with_active((_active("sensor_bias"),))
 
 
-def test_friction_follows_the_setpoint_and_the_stroke_follows_the_force(made):
+def test_friction_follows_the_setpoint_and_the_stroke_follows_the_force(made, monkeypatch):
     scene, fit = made.channel.problem.scene, made.channel.fit
     held = (replace(_active("flange_friction", 0, {"turn_N": 0.4}), a=np.array([0.4])),)
     setpoint, h = NAMES.index("flange_setpoint_offset"), 0.02
@@ -434,6 +435,12 @@ def test_friction_follows_the_setpoint_and_the_stroke_follows_the_force(made):
     rows = scene.touching
     differences = (ends[0].fn - ends[1].fn)[rows] / (2 * h)
     assert told[rows] == pytest.approx(differences, abs=0.02)
+    heard = []
+    with monkeypatch.context() as patch:
+        patch.setattr(prediction, "carried", lambda scene, at, past: heard.append(past) or (0.0, 0.0))
+        nuisance_derivatives(scene, at, slopes[0])
+    strokes = [end.samples.at("parts")[rows, 0] for end in ends]
+    assert heard[0][1][rows, setpoint] == pytest.approx((strokes[0] - strokes[1]) / (2 * h), rel=1e-3, abs=1e-8)
     # The parts are those of the force that is told, not of the step before it.
     give, force = at.samples.at("slopes")[rows, 0], at.F[rows]
     near = predict_forces(scene, x + 1e-3 * step, held, at)

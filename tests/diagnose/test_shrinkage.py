@@ -464,8 +464,9 @@ def test_a_promise_says_whether_it_is_for_the_conditions_asked_for(monkeypatch):
     assert told(sure, asked).shrinkage != general.shrinkage
     assert (told(sure, asked).there, general.there) == ("under the conditions asked for", "on new data")
     # An effect that no reading of this signal shows asks for nothing here.
-    wear = Active(LIBRARY["wheel_wear"], 0, np.zeros(1), {}, np.zeros((1, 1)))
-    assert told((Alternative(0.9, after.active), Alternative(0.1, (*after.active, wear))), replace(asked, time=None)).asked
+    shift = LIBRARY["tool_frame_shift"]
+    moved = Active(shift, 0, np.zeros(shift.size), {"at_s": 0.0}, np.zeros((shift.size, shift.size)))
+    assert told((Alternative(0.9, after.active), Alternative(0.1, (*after.active, moved))), replace(asked, time=None)).asked
     with monkeypatch.context() as patch:  # no gap there to speak of
         patch.setattr("ocp.diagnose.foresee.anticipated.from_model", lambda new, *rest: None if new.whole else NONE)
         assert told(sure, asked).shrinkage == NONE and not told(sure, asked).asked
