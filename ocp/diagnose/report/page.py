@@ -130,7 +130,7 @@ def _draw_shrinkage(canvas: Canvas, gap: SignalGap) -> None:
     place = -1.0 - np.arange(len(folds))
     dots(ax, np.maximum([v for _, v in folds], low), place, BEFORE, 4)
     for y, (_, v) in zip(place, folds, strict=True):
-        ax.text(1.04, y, f"{100 * v:.0f} %", fontsize=6.5, va="center", color=SOFT, clip_on=False)
+        ax.text(1.04, y, f"{round(100 * v)} %", fontsize=6.5, va="center", color=SOFT, clip_on=False)
     ax.set_yticks([0, *place], [f"expected {gap.there}", *(shorten(f"without {name}", 34) for name, _ in folds)], fontsize=6.5)
     ax.set_xlim(low - 0.02, 1.02)
     ax.axvline(0, color=RULE, lw=0.8)
