@@ -37,7 +37,7 @@ from ocp.diagnose.engine.findings import Alternative, Diagnosis
 from ocp.diagnose.foresee.anticipated import signal_gap
 from ocp.diagnose.foresee.next_experiment import next_experiments
 from ocp.diagnose.foresee.patched import beside_unknown, patched, unnamed, with_patch
-from ocp.diagnose.report.verdict_sentence import diagnosis_headline, not_written
+from ocp.diagnose.report.verdict_sentence import diagnosis_headline, not_written, told_as
 from ocp.diagnose.rules import FOLLOWED_FORCE
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.diagnose.tracker.refit import believed_baseline
@@ -318,7 +318,7 @@ def _safe(answer: Answer, out: Path) -> str:
         "partly": f"{out / 'corrected_cell.toml'} holds what is known",
         "unexplained": "Do not rely on the believed cell there",
         "no_gap": "The believed cell stands",
-    }[answer.diagnosis.verdict]
+    }[told_as(answer.diagnosis)]
 
 
 Page = Callable[[], bytes]

@@ -510,6 +510,10 @@ between the lowest and the highest rate, 32 places of a turn each."""
 WAVES_PICKED = 1
 """[waves] Of each kind that are offered. Guards and Reason: as TRAINS_OFFERED."""
 
+OVERTONES = 3
+"""[waves] Waves of a period. Guards: a name against what one wave leaves of a period. Reason: a saw's further ones have a
+sixth of its square."""
+
 LEAST_WAVES = 1.5
 """[waves] Over the longest run. Guards: waves against what is merely slow. Reason: slower ones are the smooth functions'."""
 

@@ -26,8 +26,8 @@ from robots.tracker_readings import Index
 
 @dataclass(frozen=True)
 class Wave:
-    """A wave that readings speak for: what of (turn, time wave, s wave), its number (per turn, per s, per m), columns
-    (n, 2) of its cosine and sine, and among how many it was found."""
+    """A wave that readings speak for: what of (turn, time wave, s wave, ..; a period has overtones), its number (per turn, per s,
+    per m), columns (n, 2 k) of the cosines and sines of its k tones, and among how many it was found."""
 
     where: str
     number: float

@@ -22,10 +22,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy.special import chdtri
 
 from ocp.diagnose.engine.channel_system import Wave
 from ocp.diagnose.force.fit import EffectFit, ForceProblem
-from ocp.diagnose.rules import LEAST_WAVES, TRAINS_OFFERED, USUAL_TRAINS, WAVES_PICKED
+from ocp.diagnose.rules import LEAST_WAVES, OVERTONES, TRAINS_OFFERED, USUAL_TRAINS, WAVES_PICKED
 from ocp.effects.belt_splice import LENGTHS, RATES
 from ocp.effects.effect import Scanned
 from robots.pose import Array
@@ -62,8 +63,16 @@ def telling_waves(problem: ForceProblem, fit: EffectFit) -> tuple[Wave, ...]:
         sizes = [float(np.sum(white.whole(masked[:, None] * _both(numbers[k] * along)) ** 2)) / 2 for k in probes]
         gain = score / np.interp(numbers, numbers[probes], sizes)
         among = max(int(len(numbers) / 2), WAVES_PICKED)
-        for k in _peaks(gain):
-            found.append(Wave(where, float(numbers[k]), masked[:, None] * _both(numbers[k] * along), among))
+        waves = [(where, 1, k) for k in _peaks(gain)]
+        # The first overtone has to be among the numbers: one wave is no period.
+        periods = gain[numbers <= 0.5 * numbers[-1]].copy()
+        for tone in range(2, OVERTONES + 1):
+            periods += np.interp(tone * numbers[: len(periods)], numbers, gain, right=0.0)
+        waves += [(where.replace("wave", "period"), OVERTONES, k) for k in _peaks(periods)]
+        for name, tones, k in waves:
+            tones = min(tones, int(numbers[-1] / numbers[k]))
+            columns = [_both(tone * numbers[k] * along) for tone in range(1, tones + 1)]
+            found.append(Wave(name, float(numbers[k]), masked[:, None] * np.hstack(columns), among))
     return tuple(found)
 
 
@@ -76,7 +85,8 @@ def _transform(numbers: Array, along: Array, y: Array) -> Array:
 
 def picked_squares(waves: Iterable[Wave]) -> float:
     """Squares beyond their number that noise alone has in the rows of waves that were picked among many."""
-    return float(sum(2.0 * np.log(w.among) - 2.0 for w in waves if w.where != "turn"))
+    picked = [w for w in waves if w.where != "turn"]
+    return float(sum(chdtri(w.columns.shape[1], 1.0 / w.among) - w.columns.shape[1] for w in picked))
 
 
 def _kinds(problem: ForceProblem, fit: EffectFit) -> Iterator[tuple[str, Array, Array, float]]:

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from ocp.calibrate.report.view import listed
-from ocp.diagnose.engine.findings import Location, Name
+from ocp.diagnose.engine.findings import Diagnosis, Location, Name
 from ocp.diagnose.rules import LEADS
 from ocp.diagnose.verdict.answer import Answer, Patched, figures
 from ocp.diagnose.verdict.patching import formula_of
@@ -111,7 +111,12 @@ def diagnosis_headline(answer: Answer) -> Headline:
         facts.append(("What next", f"{_capital(first.do)} ({first.minutes:.0f} min). It tells {_apart(first.tells_apart)}."))
     if answer.blind:
         facts.append(("Not seen", "; ".join(answer.blind[:3]) + ("; …" if len(answer.blind) > 3 else "")))
-    return Headline(verdict in ("explained", "no_gap"), VERDICTS[verdict], verdict_sentence(answer), tuple(facts))
+    return Headline(verdict in ("explained", "no_gap"), VERDICTS[told_as(d)], verdict_sentence(answer), tuple(facts))
+
+
+def told_as(d: Diagnosis) -> str:
+    """The verdict in words' sense: a part that no name is accepted for is not explained."""
+    return "unexplained" if d.verdict == "partly" and not d.active else d.verdict
 
 
 def _patch(patch: Patched, beside: bool) -> str:
@@ -141,7 +146,7 @@ def verdict_sentence(answer: Answer) -> str:
     d = answer.diagnosis
     if d.verdict == "no_gap":
         return f"{_levels(answer)}: what is left is what instruments and repeatability make. Sure to {percent(d.p_none)}."
-    if d.verdict == "unexplained" or (d.verdict == "partly" and not d.active):
+    if told_as(d) == "unexplained":
         chance = f"the chance that it is one outside is {percent(d.p_unknown)}"
         return f"It lies in {_place(d.location)}{_with(d.location)}{_ripple(answer)}. No effect of the catalogue fits; {chance}."
     best = d.explanations[0]

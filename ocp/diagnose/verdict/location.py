@@ -25,10 +25,10 @@ from robots.pose import Array
 
 SUBSYSTEM = {"target x time": "target", "payload": "payload", "session": "tracker", "time": "tracker", "temperature": "tracker"}
 _READS = {
-    "blade": "s, line, s wave, clock x s, setpoint x s",
-    "wheel": "wheel_temperature, belt, turn, clock wave, time wave, belt x time, setpoint x clock, setpoint x belt",
+    "blade": "s, line, s wave, s period, clock x s, setpoint x s",
+    "wheel": "wheel_temperature, belt, turn, clock wave, time wave, time period, belt x time, setpoint x clock, setpoint x belt",
     "tool": "run, session",
-    "flange": "setpoint, s wave x travel, travel x s",
+    "flange": "setpoint, s wave x travel, s period x travel, travel x s",
     "timing": "travel, feed, travel x feed",
 }
 READING = {where: subsystem for subsystem, every in _READS.items() for where in every.split(", ")}
@@ -40,7 +40,7 @@ def of_effect(problem: Linearisation, effect: Effect, joint: int, signature: Arr
     size = float(signature @ signature)
     for family in problem.pool.families:
         elsewhere = family.name.joint != joint and family.name.joint and joint
-        if not family.where or elsewhere or any(word in family.where for word in (" x q", "ripple", "wave")):
+        if not family.where or elsewhere or any(word in family.where for word in (" x q", "ripple", "wave", "period")):
             continue
         basis = orthonormal(family.columns[:, 0])
         share = float(np.sum((basis.T @ signature) ** 2)) / max(size, 1e-12) - SHARE_PER_FEATURE * basis.shape[1]
@@ -74,7 +74,7 @@ def of_tests(tests: list[KernelTest], sure: float = PLACE_SURE) -> Location | No
 def depends_on(where: str) -> tuple[str, ...]:
     """What a kernel's name says it depends on: joints' angles q3, approaches approach5, loads tau2, temperature, time, ..."""
     found = (f"q{p.removeprefix('ripple')}" if p.startswith("ripple") else p for p in where.split(" x ") if p)
-    found = (p.removesuffix(" wave") for p in found)
+    found = (p.removesuffix(" wave").removesuffix(" period") for p in found)
     return tuple(p.rstrip("123456") if p[:4] in ("temp", "time", "payl") else p for p in found)
 
 
@@ -85,7 +85,7 @@ def kernel_tests(problem: Linearisation, there: Given) -> list[KernelTest]:
     total, freedom = float(y @ y), problem.pool.freedom
     found = []
     for family in problem.pool.families:
-        if not family.where or "ripple" in family.where or "wave" in family.where:
+        if not family.where or any(word in family.where for word in ("ripple", "wave", "period")):
             continue
         basis = orthonormal(there.after(family.columns.reshape(len(y), -1)))
         m = basis.shape[1]

@@ -98,9 +98,11 @@ def of_axis(where: str, j: int, c: ReadingConditions) -> list[str]:
 def of_reading(where: str, variant: int, c: ReadingConditions) -> list[str] | None:
     """Features of a force reading by what it varies with; None where no program has such a condition: time since a recording
     began, the wheel's turn, single recordings."""
-    if where.startswith("s wave"):
+    if where.startswith(("s wave", "s period")):
         wave = [w for w in c.waves if w.where == where][variant]
-        return turns_of("s", 2.0 * np.pi * wave.number, "travel" if where.endswith("travel") else "")
+        tones = np.arange(1, wave.columns.shape[1] // 2 + 1)
+        by = "travel" if where.endswith("travel") else ""
+        return [name for tone in tones for name in turns_of("s", 2.0 * np.pi * tone * wave.number, by)]
     first, _, second = where.partition(" x ")
     most = {"s": SMOOTH}
     if not second:
@@ -297,6 +299,9 @@ HINTS = {
     "beam elevation": "the instrument's own circle",
     "force s": "form or stock of the blade along its lines",
     "force s wave": "form or stock of the blade along its lines",
+    "force s period": "form or stock of the blade along its lines",
+    "force s wave travel": "a guide that sticks along its way",
+    "force s period travel": "a guide that sticks along its way",
     "force line": "form or stock of the blade across its lines",
     "force travel": "what the belt drags along",
     "force feed": "what gives way or is ground off while the blade moves by",
