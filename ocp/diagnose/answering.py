@@ -224,6 +224,8 @@ def predict_sealed(answer: Answer) -> dict[str, Sealed]:
             found[signal] = replace(found[signal], beyond=beyond_measured(data.readings, sealed))
         if signal == "force" and data.log is not None:
             found[signal] = replace(found[signal], beyond=beyond_log(data.log, sealed))
+        ignored = tuple(n for n in sealed.notices if "were ignored" in n)
+        found[signal] = replace(found[signal], beyond=(*ignored, *found[signal].beyond))
         if answer.unknown is not None and signal == answer.unknown.after.name:
             found[signal] = beside_unknown(found[signal], answer.unknown, sealed, told)
             if answer.patch is not None:

@@ -423,13 +423,13 @@ LINK_CENTRE_SD = 0.01
 (DIAGNOSIS, Second method)."""
 
 WEIGHT_WIDTHS = 0.5 ** np.arange(4)
-"""[-] Of all of LINK_MASS_SD, LINK_CENTRE_SD and PAYLOAD_MASS_SD on one machine, each as likely before the readings. Guards:
-promises for a payload never hung where weights are known better. Reason: even on a logarithmic scale; an eighth is half a
+"""[-] Of both LINK_MASS_SD and LINK_CENTRE_SD on one machine, each as likely before the readings. Guards: promises for a payload
+never hung where weights are known better. Reason: even on a logarithmic scale; an eighth is half a
 percent of a mass, of which nothing is seen."""
 
-PAYLOAD_MASS_SD = 0.006
-"""[-] Of a payload's mass. Guards: payload_mass against what a scale does not tell. Reason: payloads are as stated to 1 %, evenly
-(DIAGNOSIS, Second method)."""
+PAYLOAD_MASS_SD = 0.008
+"""[-] Of a payload's mass. Guards: payload_mass against what a scale does not tell, promises for a payload never hung. Reason:
+payloads are as stated to 1 % (DIAGNOSIS, Second method), which may be a limit or one sigma."""
 
 LEAST_CHANGES = {"temperature_C": 0.3, "time_s": 60.0, "clock_s": 60.0}
 """[K, s] A condition that changes less shows no effect that depends on it. Guards: names of effects that a campaign cannot show.
@@ -450,10 +450,10 @@ FAR_SHARE = 0.25
 """[-] The same of a force log's settings: of the largest, where that is more than they vary by. Guards: as FAR_WARMTH. Reason: a
 quarter more is another process."""
 
-NO_BACKGROUND = 0.25
+NO_BACKGROUND = 0.05
 """[-] Prior probability that a machine has no play at all that lasts, and no ripple. Guards: what a corrected model is promised
 to leave; ripples that other gears do not show. Reason: every gear has ripple (PHYSICS 6, Masses) and a little play (DIAGNOSIS,
-Second method), of some too little to be told from none; no reason known for just a quarter."""
+Second method), of some too little to be told from none: one in twenty."""
 
 BACKGROUND_SIZES = np.array([0.0, 1e-6, 2.5e-6, 5e-6, 9e-6, 1.5e-5])
 """[rad] Play and ripple that are looked for in what a fit leaves, evenly likely: each stands for what lies nearest; for a name

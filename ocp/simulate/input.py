@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from ocp.data import CELL
+from ocp.effects.patch import PATCH
 from ocp.model.cell import Cell
 from ocp.simulate.twin.kinds import EFFECT_KINDS, EffectKind
 from ocp.simulate.twin.plan_knowledge import cell_of_plan, file_hash, recorded_input, with_hash
@@ -104,9 +105,25 @@ def blade_file(wanted: AskedRun, summary: dict[str, Any], own: Path | None) -> P
     return with_hash([place / known[0] for place in _near(wanted.plan)], known[1])
 
 
-def planted_effects(wanted: AskedRun, cell: Cell) -> tuple[Planted, ...]:
-    """What is planted: what was named, then what is drawn at random. Raises BadInput in one sentence."""
-    found = [parse_effect(text) for text in wanted.effects]
+def believed_effects(wanted: AskedRun, cell: Cell) -> tuple[list[Planted], list[str]]:
+    """The cell's own effects as a machine has them that is as believed, of those that show in this run; a sentence on what it
+    does not have."""
+    own, lacking = list[Planted](), list[str]()
+    for one in cell.effects:
+        kind, values = EFFECT_KINDS.get(one.name), one.active.parameters
+        if wanted.machine != "drawn" and kind is not None and {key.name for key in kind.keys} == values.keys():
+            same = {k: v if isinstance(v, str) else v if np.ndim(v) == 0 else tuple(map(float, v)) for k, v in values.items()}
+            own += [Planted(one.name, one.joint or None, same)] if _shows(kind, wanted, cell) else []
+        else:
+            lacking.append(one.active.effect.title if one.name.startswith(PATCH) else one.name)
+    names = ", ".join(dict.fromkeys(lacking))
+    why = "a drawn machine has what --effect plants alone" if wanted.machine == "drawn" else "no virtual cell can be given that"
+    return own, [f"{cell.path.name} believes in {names}, and the virtual cell has nothing of it: {why}"] if lacking else []
+
+
+def planted_effects(wanted: AskedRun, cell: Cell, own: Sequence[Planted] = ()) -> tuple[Planted, ...]:
+    """What is planted: the cell's `own`, what was named, then what is drawn at random. Raises BadInput in one sentence."""
+    found = [*own, *(parse_effect(text) for text in wanted.effects)]
     if wanted.random is not None:
         word, _, number = wanted.random.partition(":")
         if word != "random" or not re.fullmatch(r"\d{1,9}", number, re.ASCII) or not 0 <= int(number) <= MOST_EFFECTS:

@@ -19,6 +19,7 @@ from ocp.shell.progress import Phases, Progress
 from ocp.simulate.input import (
     MACHINES,
     AskedRun,
+    believed_effects,
     blade_file,
     campaign_plan,
     cell_file,
@@ -111,8 +112,9 @@ def _simulated(
     phases: Phases,
 ) -> SimulationResult:
     out = output.named
-    truth = draw_truth(cell, wanted.seed, planted_effects(wanted, cell), wanted.machine, wanted.size)  # type: ignore[arg-type]
-    notices: list[str] = []
+    own, notices = believed_effects(wanted, cell)
+    planted = planted_effects(wanted, cell, own)
+    truth = draw_truth(cell, wanted.seed, planted, wanted.machine, wanted.size)  # type: ignore[arg-type]
     ground = None
     if program is not None and folder is not None:
         hung = {cell.workpiece.payload_name: cell.workpiece.payload}

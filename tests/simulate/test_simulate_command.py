@@ -212,6 +212,25 @@ def test_the_believed_machine_grinds_as_planned(plan, tmp_path):
     assert not (tmp_path / "run" / "tracker.csv").exists()
 
 
+def test_a_machine_as_believed_has_the_cells_own_effects_and_others_are_told(tmp_path):
+    shown = '[[effects]]\neffect = "backlash"\njoint = 5\nhalf_width_rad = 4e-4\n'
+    other = '[[effects]]\neffect = "payload_mass"\nkg = 1.5\npayload = "*"\n'
+    for name, text in (("own", shown + other), ("none", "")):
+        (tmp_path / f"{name}.toml").write_text(CELL.read_text() + text)
+    shutil.copy(CELL.parent / "blade.stl", tmp_path)
+    told = {}
+    for name, more in (("own", ()), ("none", ("--effect", "backlash:5=4e-4"))):
+        arguments = ("--machine", "believed", "--poses", "6", *more)
+        told[name] = simulated("--cell", tmp_path / f"{name}.toml", "--out", tmp_path / name, *arguments)
+        assert told[name].code == 0, told[name].err
+    assert (tmp_path / "own" / "tracker.csv").read_bytes() == (tmp_path / "none" / "tracker.csv").read_bytes()
+    assert "planted backlash:5 (half_width_rad=0.0004)" in told["own"].out
+    assert "believes in payload_mass, and the virtual cell has nothing of it" in told["own"].err
+    assert "believes in" not in told["none"].err
+    drawn = simulated("--cell", tmp_path / "own.toml", "--out", tmp_path / "drawn", "--poses", "6")
+    assert "believes in backlash, payload_mass, and" in drawn.err and "nothing planted" in drawn.out
+
+
 def test_the_same_seed_is_the_same_machine_and_an_effect_changes_nothing_else(plan, run, tmp_path):
     arguments = ("--poses", "8", "--ladder", "none", "--no-air")
     for name, more in (("a", ()), ("b", ("--seed", "1")), ("c", ("--effect", "sensor_bias=1.5"))):

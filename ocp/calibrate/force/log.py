@@ -109,7 +109,8 @@ def read_force_log(path: str | Path, sealed: bool = False, mapping: ColumnMappin
     """
     vectors = (*POINT, *NORMAL, *FEED)
     needed = ("run", "time_s", *AXES, *vectors, *(() if sealed else ("fn_N",)))
-    table = read_csv_table(path, needed, (*OPTIONAL, "fn_N"), ("run", "session"), (), mapping)
+    optional = tuple(c for c in OPTIONAL if c != "ft_N") if sealed else OPTIONAL  # what is sealed is no condition
+    table = read_csv_table(path, needed, optional, ("run", "session"), (), mapping)
     n, t = table.stack(NORMAL), table.stack(FEED)
     _check_vectors(table, n, t)
     for column, words in table.words.items():

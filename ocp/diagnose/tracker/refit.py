@@ -369,7 +369,7 @@ def relearned(task: Task, fit: TrackerFit) -> Task:
         if abs(np.log(width / before)) > rules.RELEARNED_WIDTH:
             prior[columns] = scale[columns] = width
             changed = True
-    weights = np.append(layout.links, layout.payload[layout.payload >= 0]).astype(int)
+    weights = layout.links
     if len(weights):
         before = float(prior[weights[0]] / scale[weights[0]])
         unit = np.outer(scale[weights], scale[weights])

@@ -10,9 +10,9 @@ both names stand for one class. The prior keeps an effect from imitating another
 likeliest explanation. Explanations that fit the same readings may say different things of conditions nobody measured: a
 centre of mass that is wrong for one payload or for all of them, a ripple or an impostor of it. Averaged by their
 probabilities, no prediction has a smaller expected squared error (Hoeting et al. 1999, Bayesian model averaging). 'None of
-these' in the names' place is what stands for it, its kernels as patches that stay as they are beyond what was measured: the
-readings show a gap under it too, and what they show is there again. Where a set lacks an accepted effect only because its
-background takes it, the machine has it all the same, under no name: it stays in that alternative.
+these' in the place of all names, or of one, is what stands for it, its kernels as patches that stay as they are beyond what was
+measured: the readings show a gap under it too, and what they show is there again. Where a set lacks an accepted effect only
+because its background takes it, the machine has it all the same, under no name: it stays in that alternative.
 """
 
 from collections import defaultdict
@@ -37,20 +37,24 @@ Names = tuple[Name, ...]
 @dataclass(frozen=True)
 class Posterior:
     """Probability and log weight (best of its sets) by explanation (names from the library, kernels summed out); p_none: no name
-    is in; p_unknown: a kernel is in, with names or without; p_alone: without; where: kernels' shares of p_unknown by name, alone:
-    of p_alone; marginal by name; gain: best log weight with a name less best without it and without what stands for it in the
+    is in; p_unknown: a kernel is in, with names or without; beside: shares of it by explanation, of none as well; where: by
+    kernel; marginal by name; gain: best log weight with a name less best without it and without what stands for it in the
     background; best: the key of the best set of every explanation."""
 
     probability: dict[Names, float]
     log: dict[Names, float]
     p_none: float
     p_unknown: float
-    p_alone: float
+    beside: dict[Names, float]
     where: dict[Name, float]
-    alone: dict[Name, float]
     marginal: dict[Name, float]
     gain: dict[Name, float]
     best: dict[Names, Key]
+
+    @property
+    def p_alone(self) -> float:
+        """A kernel is in, and no name."""
+        return self.beside.get((), 0.0)
 
 
 def posterior(problem: Linearisation, search: Search) -> Posterior:
@@ -61,31 +65,36 @@ def posterior(problem: Linearisation, search: Search) -> Posterior:
     share /= share.sum()
     families = problem.pool.families
     probability = defaultdict[Names, float](float)
-    where, alone, marginal = (defaultdict[Name, float](float) for _ in range(3))
+    beside, where, marginal = defaultdict[Names, float](float), defaultdict[Name, float](float), defaultdict[Name, float](float)
     best: dict[Names, Key] = {}
     weight: dict[Names, float] = {}
-    p_none = p_unknown = p_alone = 0.0
+    p_none = p_unknown = 0.0
     with_name: dict[Name, float] = {}
     for key, p, w in zip(keys, share, log, strict=True):
-        named = tuple(sorted(families[f].name for f in key if families[f].effect is not None))
+        named = _names_in(problem, key)
         strange = [families[f].name for f in key if families[f].effect is None and not families[f].background]
         for name in named:
             marginal[name] += float(p)
             with_name[name] = max(with_name.get(name, -np.inf), float(w))
-        p_unknown += float(p) if strange else 0.0
+        if strange:
+            p_unknown += float(p)
+            beside[named] += float(p)
         for name in strange:
             where[name] += float(p)
         if not named:
             p_none += float(p)
-            p_alone += float(p) if strange else 0.0
-            for name in strange:
-                alone[name] += float(p)
             continue
         probability[named] += float(p)
         if named not in best or w > weight[named]:
             best[named], weight[named] = key, float(w)
     gain = {name: w - max(_without(name, problem, search), 0.0) for name, w in with_name.items()}
-    return Posterior(probability, weight, min(p_none, 1.0), min(p_unknown, 1.0), p_alone, where, alone, marginal, gain, best)
+    return Posterior(probability, weight, min(p_none, 1.0), min(p_unknown, 1.0), beside, where, marginal, gain, best)
+
+
+def _names_in(problem: Linearisation, key: Key) -> Names:
+    """The explanation that a set is of."""
+    families = problem.pool.families
+    return tuple(sorted(families[f].name for f in key if families[f].effect is not None))
 
 
 def _without(name: Name, problem: Linearisation, search: Search) -> float:
@@ -158,33 +167,38 @@ def alternatives(
     if not active:
         return (Alternative(1.0, ()),)
     listed = _variants(problem, weighed, active, found.probability.get(names, 0.0))
-    named = ~(search.kernel | search.background)
-    nameless = {k: one for k, one in search.sets.items() if not named[list(k)].any()}
-    strange = {k: one for k, one in nameless.items() if search.kernel[list(k)].any()}
-    quiet = max((nameless[k] for k in nameless.keys() - strange.keys()), key=lambda one: one.log, default=Weighed(0.0, ()))
-    patches = _in_their_place(problem, search, strange, found) if found.p_alone >= rules.FOLLOWED else ()
-    others = [(found.p_none - (found.p_alone if patches else 0.0), quiet)]
-    for other, p in sorted(found.probability.items(), key=lambda item: -item[1])[: rules.MOST_FOLLOWED + 1]:
-        if other != names and p >= rules.FOLLOWED:
-            others.append((p, search.sets[found.best[other]]))
-    for p, one in others:
-        listed.append(Alternative(p, (*problem.values(one), *_nameless(problem, one, active, signatures))))
-    for patch in patches:
-        beside = _nameless(problem, max(strange.values(), key=lambda s: s.log), active, signatures)
-        listed.append(replace(patch, active=(*beside, *unfaded(patch.active))))
+    others = sorted(found.probability.items(), key=lambda item: -item[1])[: rules.MOST_FOLLOWED + 1]
+    for other, p in [((), found.p_none), *others]:
+        if other == names or (other and p < rules.FOLLOWED):
+            continue
+        sets = {k: s for k, s in search.sets.items() if _names_in(problem, k) == other}
+        strange = {k: s for k, s in sets.items() if search.kernel[list(k)].any()}
+        unknown = found.beside.get(other, 0.0)
+        patches = _patches_beside(problem, search, strange, unknown) if unknown >= rules.FOLLOWED else ()
+        plain = max((sets[k] for k in sets.keys() - strange.keys()), key=lambda s: s.log, default=Weighed(0.0, ()))
+        here = [(Alternative(p - (unknown if patches else 0.0), ()), plain)]
+        here += [(one, max(strange.values(), key=lambda s: s.log)) for one in patches]
+        for one, weighed in here:
+            there = (*problem.values(weighed), *_nameless(problem, weighed, active, signatures), *unfaded(one.active))
+            listed.append(replace(one, active=there))
     return _summed(listed)
 
 
-def _in_their_place(
-    problem: Linearisation, search: Search, strange: dict[Key, Weighed], found: Posterior
+def _patches_beside(
+    problem: Linearisation, search: Search, strange: dict[Key, Weighed], unknown: float
 ) -> tuple[Alternative, ...]:
-    """Patches of the kernels in these sets, which hold no name, with probabilities that sum to p_alone; none: no patch can hold
-    what does."""
-    alone = copy(search)
+    """Patches of the kernels in these sets, which hold the same names, with probabilities that sum to `unknown`; none: no patch
+    can hold what does."""
+    alone, where = copy(search), defaultdict[Name, float](float)
     alone.sets = strange
-    patches = patches_of(problem, alone, found.alone)
+    most = max(s.log for s in strange.values())
+    for key, one in strange.items():
+        for f in key:
+            if search.kernel[f]:
+                where[problem.pool.families[f].name] += float(np.exp(one.log - most))
+    patches = patches_of(problem, alone, where)
     total = sum(one.probability for one in patches)
-    return tuple(replace(one, probability=found.p_alone * one.probability / total) for one in patches)
+    return tuple(replace(one, probability=unknown * one.probability / total) for one in patches)
 
 
 def without_kernels(problem: Linearisation, search: Search) -> tuple[Alternative, ...]:
