@@ -358,9 +358,8 @@ def _shown(channel: Channel) -> Channel:
         return replace(channel, store={})
     if channel.name != "force":
         return channel
-    return cast(
-        Channel, Shown(channel.name, channel.unit, channel.conditions, channel.noise_floor, channel.gap(), channel.active)
-    )
+    conditions = replace(channel.conditions, waves=(), pressed=None)
+    return cast(Channel, Shown(channel.name, channel.unit, conditions, channel.noise_floor, channel.gap(), channel.active))
 
 
 @contextmanager

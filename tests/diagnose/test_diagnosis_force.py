@@ -497,13 +497,16 @@ def test_a_force_patch_is_its_kernel(made):
     at, rows = made.channel.log.contact, len(made.channel.log)
     known = list(kernels(channel.conditions))
     free = [np.ones((rows, 1)), next(k.changes[:, 0, 0] for k in known if k.where == "s")]
-    for kernel in (k for k in known if k.source == "reading"):
-        variant = kernel.changes.shape[2] - 1
+    for kernel, variant in ((k, v) for k in known if k.source == "reading" for v in range(k.changes.shape[2])):
         one = as_patch(Name(f"?force/{kernel.where}/reading", 0), variant, 1.0, channel)
         if one is None:
             continue
         held.add(kernel.where)
-        columns = hook_columns(channel.problem.scene.cell, one.effect, "push", 0, [one.scanned], channel.fit.at.samples)[0]
+        own = one.scanned["source"]
+        assert own == ("sensor" if variant and kernel.among == 0 else "force")
+        assert (np.abs(kernel.changes[~at, :, variant]).max() > 0) == (own == "sensor")
+        hook = {"force": "push", "sensor": "sensor"}[own]
+        columns = hook_columns(channel.problem.scene.cell, one.effect, hook, 0, [one.scanned], channel.fit.at.samples)[0]
         X, wanted = np.hstack([columns, *free])[at], kernel.changes[at, 0, variant]
         left = wanted - X @ np.linalg.lstsq(X, wanted, rcond=None)[0]
         assert np.abs(left).max() < 1e-6 * np.abs(wanted).max(), kernel.where

@@ -97,21 +97,23 @@ def test_an_effect_that_stands_in_the_background_is_there_all_the_same(stands_in
     assert [len(one.active) for one in told] == [1, kept] and (every.p_none, every.p_alone) == (pytest.approx(0.5), 0.0)
 
 
-def of_name_or(other, problem, patches=()):
-    """Alternatives and probabilities of two sets as likely, the name and another family alone, and the name with its value."""
+def of_name_or(other, problem, patches=(), beside=()):
+    """Alternatives and probabilities of two sets as likely, the name and another family, families `beside` in both, and the names
+    with their values."""
     problem = replace(problem, pool=make_pool(problem.pool.y, problem.pool.freedom, [*problem.pool.families, other]))
     families = problem.pool.families
-    name, nameless = (Weighed(5.0, (Member(f, 0, 1.0),)) for f in (0, len(families) - 1))
+    name, nameless = (Weighed(5.0, tuple(Member(k, 0, 1.0) for k in (f, *beside))) for f in (0, len(families) - 1))
     search = SimpleNamespace(
         sets={frozenset({m.family for m in one.members}): one for one in (name, nameless)},
         kernel=np.array([f.effect is None and not f.background for f in families]),
         background=np.array([f.background for f in families]),
     )
     active, every = problem.values(name), posterior(problem, search)
-    seen = [problem.pool.columns(name.members[0]) @ (a.a / families[0].scale) for a in active]
+    seen = [problem.pool.columns(m) @ (a.a / families[m.family].scale) for m, a in zip(name.members, active, strict=True)]
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("ocp.diagnose.verdict.probabilities.patches_of", lambda *_: patches)
-        return alternatives(problem, search, every, (name, (Name("e0", 0),)), active, seen), every, active
+        names = tuple(sorted(families[m.family].name for m in name.members))
+        return alternatives(problem, search, every, (name, names), active, seen), every, active
 
 
 def test_what_has_no_name_is_followed_as_what_stands_for_it():
@@ -126,6 +128,20 @@ def test_what_has_no_name_is_followed_as_what_stands_for_it():
     assert [one.probability for one in told] == pytest.approx([0.5, 0.375, 0.125])
     told, _, named = of_name_or(kernel, problem)
     assert [one.active for one in told] == [named, ()]
+
+
+def test_what_stands_for_one_of_two_names_is_followed_beside_the_other():
+    """Of the two names one may be a kernel: then the gap is there all the same, and the other name with it."""
+    toy, found = problem_of(planted=((0, 1.0), (1, 1.0)))
+    problem = linearised([toy], found, Options())
+    kernel = replace(problem.pool.families[0], name=Name("?e"), effect=None)
+    patch = Active(found["e2"], 0, np.zeros(1), {}, np.eye(1))
+    told, every, _ = of_name_or(kernel, problem, (Alternative(0.3, (patch,)),), beside=(1,))
+    assert every.beside == {(Name("e1", 0),): pytest.approx(0.5)} and (every.p_none, every.p_alone) == (0.0, 0.0)
+    assert [[a.effect.name for a in one.active] for one in told] == [["e0", "e1"], ["e1", "e2"]]
+    assert [one.probability for one in told] == pytest.approx([0.5, 0.5])
+    told, _, _ = of_name_or(kernel, problem, beside=(1,))
+    assert [[a.effect.name for a in one.active] for one in told] == [["e0", "e1"], ["e1"]]
 
 
 def test_patches_too_unlikely_to_be_followed_are_followed_together():

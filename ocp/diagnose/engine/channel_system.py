@@ -42,8 +42,9 @@ class ReadingConditions:
     q (n, 6) rad commanded; approach (n, 6) signs of the last motions; payload (n,) index into `payloads`; target (n,) index
     into `targets`; time (n,) s of the run, clock (n,) s of the campaign; waited (n,) s since the last reading before the
     motion to each, moved (n, 6) rad by it; temperature (n,) deg C; wheel_temperature (n,); run, line, session, station (n,)
-    integers; s (n,) m along the pass; feed m/s, setpoint N, belt m/s; contact (n,) bool; tau (n, 6) N m load torque; travel
-    (n,) sign of the motion along the pass; d_joints (n, k, 6): derivative of the prediction in the six joint angles, SI per
+    integers; s (n,) m along the pass; feed m/s, setpoint N, belt m/s; contact (n,) bool; pressed (n, k): what a newton more at
+    the contact reads, nothing in the air; tau (n, 6) N m load torque; travel (n,) sign of the motion along the pass; d_joints
+    (n, k, 6): derivative of the prediction in the six joint angles, SI per
     rad (k components of a reading), for kernels and spectra in joint angles; d_tilts (n, k, 6, 4): in tilts of the six axes
     about the two directions across them that stand still in the link before, and the two that turn with the joint; moments (n,
     6, 2) N m of the weight beyond an axis about the two that stand still; point (n, 3) m in the instrument's frame; sight (n,
@@ -73,6 +74,7 @@ class ReadingConditions:
     setpoint: Array | None = None
     belt: Array | None = None
     contact: Array | None = None
+    pressed: Array | None = None
     tau: Array | None = None
     travel: Array | None = None
     d_joints: Array | None = None

@@ -5,8 +5,8 @@ of its axis, as a displacement of the instrument's frame, along or across the in
 are tested like effects (same projection, same evidence); a condition that wins although the library was offered speaks for an
 effect outside it.
 
-Kernels of a force log act on the normal reading alone: how a sensor's second axis reads is its own affair, and logs by other
-hands differ there where nothing is planted. Of waves of time and path only the one that the log speaks for most takes part
+Kernels of a force log act at the contact, with its friction and not in the air, or on the normal reading alone: how a sensor's
+second axis reads is its own affair. Of waves of time and path only the one that the log speaks for most takes part
 (`ocp.diagnose.force.waves`).
 """
 
@@ -79,6 +79,8 @@ def kernels(c: ReadingConditions) -> Iterator[Kernel]:
         for where, features, among in _of_reading(c):
             changes = np.zeros((n, k, *features.shape[1:]))
             changes[:, 0] = features
+            if not among and c.pressed is not None:  # what comes by the contact: nothing in the air, and with its friction
+                changes = np.concatenate([c.pressed[:, :, None, None] * features[:, None], changes], axis=2)
             yield Kernel(where, "reading", 0, changes, *FORCE_KERNEL, among)
 
 

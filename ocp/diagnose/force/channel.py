@@ -376,11 +376,10 @@ def surroundings(problem: ForceProblem) -> Surroundings:
 def known_conditions(problem: ForceProblem, fit: EffectFit, waves: tuple[Wave, ...] = ()) -> ReadingConditions:
     """Of the log's rows, for what is tested without the library."""
     log = problem.log
-    joints = [fit.at.fn_slope[:, None] * fit.slopes[1]]
-    if log.ft is not None:
-        joints.append(fit.at.ft_slope[:, None] * fit.slopes[1])
-    known = logged_conditions(problem, log, problem.scene.conditions)
-    return replace(known, d_joints=np.stack(joints, axis=1), gear_ratio=ratios_of(surroundings(problem)), waves=waves)
+    reads = np.stack([fit.at.fn_slope] if log.ft is None else [fit.at.fn_slope, fit.at.ft_slope], axis=1)
+    known = replace(logged_conditions(problem, log, problem.scene.conditions), waves=waves)
+    ratios, joints = ratios_of(surroundings(problem)), reads[:, :, None] * fit.slopes[1][:, None]
+    return replace(known, d_joints=joints, pressed=reads * log.contact[:, None], gear_ratio=ratios)
 
 
 def logged_conditions(problem: ForceProblem, log: ForceLog, c: LogConditions) -> ReadingConditions:

@@ -160,7 +160,8 @@ def as_patch(name: Name, variant: int, size: float, channel: Channel) -> Active 
     middle = 0.0
     if source == "reading":
         there = [a.scanned["source"] for a in channel.active if is_patch(a.effect)]
-        features, source = of_reading(where, variant, c), "sensor" if "sensor" in there else "force"
+        alone = "sensor" in there or (c.pressed is not None and variant == 1 and "period" not in where and "wave" not in where)
+        features, source = of_reading(where, variant, c), "sensor" if alone else "force"
     elif source == "joint":
         features = of_joint(where, name.joint, variant, c)
     elif source == "axis":

@@ -175,7 +175,8 @@ def alternatives(
         strange = {k: s for k, s in sets.items() if search.kernel[list(k)].any()}
         unknown = found.beside.get(other, 0.0)
         patches = _patches_beside(problem, search, strange, unknown) if unknown >= rules.FOLLOWED else ()
-        plain = max((sets[k] for k in sets.keys() - strange.keys()), key=lambda s: s.log, default=Weighed(0.0, ()))
+        kept = sets.keys() - strange.keys() if patches else sets
+        plain = max((sets[k] for k in kept), key=lambda s: s.log, default=Weighed(0.0, ()))
         here = [(Alternative(p - (unknown if patches else 0.0), ()), plain)]
         here += [(one, max(strange.values(), key=lambda s: s.log)) for one in patches]
         for one, weighed in here:
