@@ -6,7 +6,7 @@ are `ocp.simulate.twin`'s; the fit of the ladder is that of `ocp.calibrate --for
 """
 
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -32,6 +32,8 @@ from ocp.simulate.twin.arm import VirtualArm, arm_moments
 from ocp.simulate.twin.contact import ContactMoments
 from ocp.simulate.twin.contact.grinder import Grinder
 from ocp.simulate.twin.contact.sensor import read_sensor
+from ocp.simulate.twin.contact.table import PlannedLines, Tables, make_tables, place_stations
+from ocp.simulate.twin.contact.wheel_and_blade import solid_compliance
 from ocp.simulate.twin.truth import Truth
 from robots.calibration.store import Calibration
 from robots.errors import BadInput
@@ -41,6 +43,7 @@ from trajectories.blade import Blade
 from trajectories.passes import BladePath
 
 STEP = 4e-3  # m between waypoints: forces vary slowly along a pass
+FINE_STEP = 1e-3  # m: dense enough for the virtual contact to place its own stations
 POINTS = 20  # working points, PHYSICS 5
 MOUNTS = ("flange", "rigid")
 
@@ -129,6 +132,29 @@ def _solver(course: Course) -> PassSolver:
     if course.compiled:
         solver.compile()
     return solver
+
+
+@dataclass(frozen=True, eq=False)
+class VirtualContact:
+    """Of wheel and blade, as all robots have it: the lines that passes lie on, and what is solved of the contact there."""
+
+    lines: PlannedLines
+    tables: Tables
+
+
+def virtual_contact(course: Course) -> VirtualContact:
+    """The contact along the passes of a course, with the blade's compliance solved; of both mounts, which have the same lines."""
+    stl = course.cell.workpiece.stl
+    assert stl is not None
+    fine = lay_paths(course.cell, stl, PlanOptions(step=FINE_STEP, even=False)).paths
+    numbers = {path.line for path in course.paths}
+    paths = [path for path in fine if path.line in numbers]
+    line = np.concatenate([np.full(len(path.s), path.line, np.int64) for path in paths])
+    lines = PlannedLines(line, *(np.concatenate([getattr(path, name) for path in paths]) for name in ("s", "p", "n", "t")))
+    tables = make_tables(course.cell, course.blade)
+    stations = place_stations(lines, np.arange(len(line)), lines.s)
+    tables.compliance(stations, partial(solid_compliance, course.cell.workpiece, course.blade, stations))
+    return VirtualContact(lines, tables)
 
 
 def working_points(solved: list[SolvedPass]) -> list[Array]:

@@ -14,11 +14,21 @@ import numpy as np
 
 from ocp.calibrate.files import tracker_calibration
 from ocp.calibrate.tracker import TrackerCalibration, calibrate_tracker
-from ocp.experiments.grinding import Course, VirtualRobot, compensated, lay_course, registered_by_ladder, working_forces
+from ocp.experiments.grinding import (
+    Course,
+    VirtualContact,
+    VirtualRobot,
+    compensated,
+    lay_course,
+    registered_by_ladder,
+    virtual_contact,
+    working_forces,
+)
 from ocp.model.cell import Cell
 from ocp.plan.passes.optimise import FILES, SolvedPass
 from ocp.shell.cache import code_hash, content_key, flattened, keep, recall
 from ocp.shell.executor import Hands, carried_out
+from ocp.shell.processes import nothing, workers
 from ocp.shell.progress import Phases
 from ocp.simulate.twin.arm import VirtualArm, make_arm
 from ocp.simulate.twin.contact.grinder import make_grinder
@@ -100,8 +110,11 @@ class Trial:
     failed: dict[str, str] = field(default_factory=dict)
 
 
-def run_trial(courses: dict[str, Course], nominal: dict[str, list[SolvedPass]], poses: int, seed: int) -> Trial:
-    """Robot number `seed` on every course (by mount); `nominal`: joints of the tested passes without any calibration."""
+def run_trial(
+    courses: dict[str, Course], nominal: dict[str, list[SolvedPass]], poses: int, contact: VirtualContact, seed: int
+) -> Trial:
+    """Robot number `seed` on every course (by mount); `nominal`: joints of the tested passes without any calibration; `contact`:
+    of wheel and blade."""
     course = next(iter(courses.values()))
     rng = np.random.default_rng([seed, 2])
     truth = draw_truth(course.cell, seed)
@@ -112,7 +125,7 @@ def run_trial(courses: dict[str, Course], nominal: dict[str, list[SolvedPass]], 
     read: dict[str, Array] = {}
     failed: dict[str, str] = {}
     for mount, on in courses.items():
-        machine = VirtualRobot(truth, arm, make_grinder(on.cell, truth, on.blade))
+        machine = VirtualRobot(truth, arm, make_grinder(on.cell, truth, on.blade, contact.tables, contact.lines))
         force[f"{mount}/{STEPS[0]}"], read[f"{mount}/{STEPS[0]}"] = working_forces(on, machine, nominal[mount], rng)
         for step in STEPS[1:]:
             calibration = oracle if step == "oracle" else full
@@ -139,7 +152,12 @@ def run_trials(cell: Cell, mounts: Sequence[str], seeds: Sequence[int], poses: i
     done = {seed: trial for seed, key in keys.items() if (trial := _recalled(key)) is not None}
     missing = [seed for seed in seeds if seed not in done]
     courses = {mount: replace(course, compiled=len(missing) > 1) for mount, course in courses.items()}
-    nominal = {mount: compensated(course, None, course.tested) for mount, course in courses.items() if missing}
+    state: tuple[Any, ...] = ()
+    if missing:
+        with workers(1, nothing) as pool:
+            contact = pool.submit(virtual_contact, next(iter(courses.values())))
+            nominal = {mount: compensated(course, None, course.tested) for mount, course in courses.items()}
+            state = courses, nominal, poses, contact.result()
     with phases.phase("robots", len(seeds)) as advance:
         for _ in done:
             advance()
@@ -150,12 +168,12 @@ def run_trials(cell: Cell, mounts: Sequence[str], seeds: Sequence[int], poses: i
             advance()
 
         hands = replace(hands, jobs=min(hands.jobs, len(missing)))
-        for _, future in carried_out(_trial_in_worker, [(s,) for s in missing], hands, _start_worker, (courses, nominal, poses)):
+        for _, future in carried_out(_trial_in_worker, [(s,) for s in missing], hands, _start_worker, state):
             finish(future.result())
     return [done[seed] for seed in seeds]
 
 
-_state: tuple[dict[str, Course], dict[str, list[SolvedPass]], int] | None = None
+_state: tuple[dict[str, Course], dict[str, list[SolvedPass]], int, VirtualContact] | None = None
 
 
 def _start_worker(*state: Any) -> None:

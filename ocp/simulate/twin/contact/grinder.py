@@ -25,6 +25,7 @@ from ocp.simulate.twin.contact.surface import postures
 from ocp.simulate.twin.contact.table import (
     ABSENT,
     LEVELS,
+    PlannedLines,
     SolvedStations,
     Tables,
     contact_patches,
@@ -297,12 +298,14 @@ class ContactPatches:
 
 @dataclass(frozen=True)
 class Grinder:
-    """Wheel, blade and mount of one virtual cell; `tables` may be shared with other cells of the same blade and wheel."""
+    """Wheel, blade and mount of one virtual cell; `tables` may be shared with other cells of the same blade and wheel; `lines`:
+    those that every instant lies on, where they are known better than the instants tell."""
 
     cell: Cell
     truth: Truth
     blade: Blade
     tables: Tables
+    lines: PlannedLines | None = None
 
     def force(self, c: ContactMoments) -> ContactResult:
         """Force at n instants. Raises BadInput: the blade cannot be meshed or clamped."""
@@ -313,7 +316,7 @@ class Grinder:
         mu = bodies.friction(self.truth, self.cell, c)
         if len(rows):
             moved = lagging(self.truth, c)
-            stations = place_stations(c, rows, moved.s[rows])
+            stations = place_stations(c, rows, moved.s[rows], self.lines)
             chain, overlap[rows] = self._chain(moved, rows, stations, mu[rows])
             result = solve_relaxing(self.truth, chain, c.time_s[rows], _restarts(c, rows))
             force[rows], stroke[rows], indentation[rows] = result.force, result.stroke, result.indentation
@@ -342,7 +345,7 @@ class Grinder:
         centre, axis = (v[rows] for v in bodies.wheel_frames(self.truth, self.cell, moved))
         T, p, n, t = bodies.blade_poses(self.truth, self.cell, moved)[rows], moved.p[rows], moved.n[rows], moved.t[rows]
         at = postures(T, p, n, t, centre, axis, radius)
-        share, index, place = contact_patches(self.tables, place_stations(c, rows, moved.s[rows]), at.shape)
+        share, index, place = contact_patches(self.tables, place_stations(c, rows, moved.s[rows], self.lines), at.shape)
         x, y = (np.einsum("kji,kj->ki", T[:, :3, :3], v) for v in (at.x, axis))
         origin, normal, along, across = (np.full((len(c.s), 3), np.nan) for _ in range(4))
         normal[rows], along[rows], across[rows] = n, x, y
@@ -367,7 +370,7 @@ class Grinder:
         load, compliance, push = np.tile(NODES, (count, 1)), np.zeros(count), np.zeros(count)
         if len(rows):
             mu = bodies.friction(self.truth, self.cell, c)[rows]
-            chain, _ = self._chain(moved, rows, place_stations(c, rows, moved.s[rows]), mu)
+            chain, _ = self._chain(moved, rows, place_stations(c, rows, moved.s[rows], self.lines), mu)
             slopes = _slopes(chain.indentation)
             levels = [np.full(len(rows), v) for v in NODES]
             closed[rows] = np.stack([_curve(chain.indentation, slopes, v) for v in levels], axis=1)
@@ -416,10 +419,12 @@ class Grinder:
         return Chain(at.depth + bodies.surface_change(truth, c)[rows], indentation, compliance, cover, mount), at.overlap
 
 
-def make_grinder(cell: Cell, truth: Truth, blade: Blade, tables: Tables | None = None) -> Grinder:
+def make_grinder(
+    cell: Cell, truth: Truth, blade: Blade, tables: Tables | None = None, lines: PlannedLines | None = None
+) -> Grinder:
     """The grinding of a virtual cell. `tables` of an earlier grinder of the same blade and wheel save the solutions they hold;
     None begins with those kept in this process."""
-    return Grinder(cell, truth, blade, tables if tables is not None else make_tables(cell, blade))
+    return Grinder(cell, truth, blade, tables if tables is not None else make_tables(cell, blade), lines)
 
 
 def _restarts(c: ContactMoments, rows: Index) -> Array:

@@ -263,8 +263,21 @@ class SolvedStations:
     share: Array
 
 
-def place_stations(planned: ContactMoments, rows: Index, now: Array) -> SolvedStations:
-    """Stations on the lines of the planned instants `rows`, seen from arc lengths `now` (rows,) m.
+@dataclass(frozen=True)
+class PlannedLines:
+    """Lines of n instants: which one a row is of, its arc length m, point m, normal and feed of the blade."""
+
+    line: Index
+    s: Array
+    p: Array
+    n: Array
+    t: Array
+
+
+def place_stations(
+    planned: ContactMoments | PlannedLines, rows: Index, now: Array, known: PlannedLines | None = None
+) -> SolvedStations:
+    """Stations on the lines of the planned instants `rows`, seen from arc lengths `now` (rows,) m; on `known` lines where given.
 
     Where rows are dense the places do not depend on how they are spaced. Raises ValueError: a line has two places at one s.
     """
@@ -275,12 +288,12 @@ def place_stations(planned: ContactMoments, rows: Index, now: Array) -> SolvedSt
     start = 0
     for number in np.unique(planned.line[rows]):
         own = np.flatnonzero(planned.line[rows] == number)
-        at = rows[own]
-        s, frames = _line(planned.s[at], np.hstack([planned.p[at], planned.n[at], planned.t[at]]))
+        source, at = (planned, rows[own]) if known is None else (known, np.flatnonzero(known.line == number))
+        s, frames = _line(source.s[at], np.hstack([source.p[at], source.n[at], source.t[at]]))
         i = np.clip(np.searchsorted(s, now[own]) - 1, 0, max(len(s) - 2, 0))
         j = np.minimum(i + 1, len(s) - 1)
         gap = s[j] - s[i]
-        share[own] = np.clip(np.divide(now[own] - s[i], gap, out=np.zeros(len(at)), where=gap > 0), 0.0, 1.0)
+        share[own] = np.clip(np.divide(now[own] - s[i], gap, out=np.zeros(len(own)), where=gap > 0), 0.0, 1.0)
         left[own], right[own] = start + i, start + j
         parts.append((s, frames))
         line.append(np.full(len(s), number, np.int64))
