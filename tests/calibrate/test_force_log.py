@@ -88,6 +88,13 @@ def test_what_is_absent_is_told_and_what_is_more_is_ignored(tmp_path):
     assert log.setpoint is None and log.sigma_fn is None
 
 
+def test_what_is_sealed_is_no_condition(tmp_path):
+    """Readings beside sealed conditions, given or left empty, are passed over and said to be."""
+    for value in ("", 19.5):
+        log = read(tmp_path, [{**row, "fn_N": value, "ft_N": value} for row in rows()], sealed=True)
+        assert np.isnan(log.fn).all() and log.ft is None and log.notices[0] == "force.csv: columns fn_N, ft_N were ignored"
+
+
 def test_without_the_flag_a_run_near_zero_is_air_and_said_so(tmp_path):
     table = rows(30) + [{**row, "run": "b", "fn_N": 0.3 * (-1) ** k} for k, row in enumerate(rows(30))]
     log = read(tmp_path, table)

@@ -5,18 +5,20 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 from ocp.diagnose.answering import tracker_channel
 from ocp.diagnose.dataset import read_data_set
 from ocp.diagnose.engine.beam import NOTHING, Search
 from ocp.diagnose.engine.findings import Name, Options
+from ocp.diagnose.engine.kernels import kernels
 from ocp.diagnose.engine.linearisation import linearised
 from ocp.diagnose.engine.search import Diverged, search_and_refit
 from ocp.diagnose.force import fit as fitting
 from ocp.diagnose.force.channel import ForceChannel
 from ocp.diagnose.force.fit import fit_effects, linear
-from ocp.diagnose.force.waves import likely_trains
-from ocp.diagnose.rules import HOPELESS_FITS
+from ocp.diagnose.force.waves import likely_trains, picked_squares
+from ocp.diagnose.rules import HOPELESS_FITS, OVERTONES
 from ocp.diagnose.verdict import diagnosis
 from ocp.diagnose.verdict.diagnosis import diagnose_channels, findings
 from robots.errors import Infeasible
@@ -77,6 +79,40 @@ def test_a_single_tone_is_no_knock_and_nothing_of_the_catalogue(made: Made, tmp_
     found = diagnose_channels([_again(made, log)], EFFECTS)
     assert found.p_unknown > 0.8 and found.verdict == "unexplained"
     assert found.location is not None and found.location.depends_on == ("time",)
+
+
+def test_a_saw_along_the_path_is_one_unknown_with_its_overtones(made: Made, tmp_path):  # noqa: F811
+    def saw(c, F):
+        return 0.16 * (F > 0) * np.where(c["run"] == 1, -1.0, 1.0) * (2.0 * np.mod(c["s"] / 0.014, 1.0) - 1.0)
+
+    log, _ = _log(made.base, (Planted(reading=saw),), tmp_path)
+    channel = _again(made, log)
+    period = next(w for w in channel.waves if w.where == "s period x travel")
+    assert period.number == pytest.approx(1 / 0.014, rel=0.02) and period.columns.shape[1] == 2 * OVERTONES
+    assert picked_squares([period]) == pytest.approx(chi2.isf(1.0 / period.among, 6) - 6.0)
+    found = diagnose_channels([channel], EFFECTS)
+    assert found.p_unknown > 0.9 and not found.active
+    assert found.location is not None and found.location.depends_on == ("s", "travel")
+    (patch,) = found.patches[0].active
+    orders = [float(name.split()[3]) * 0.014 / (2 * np.pi) for name in patch.scanned["features"]]
+    assert orders == pytest.approx([1, 1, 2, 2, 3, 3], rel=0.02)
+    fitted = channel.with_active((patch,)).active[0].a[1::2]  # sines of a saw: -2 / (pi k) each
+    assert fitted / fitted[0] == pytest.approx([1.0, 0.5, 1 / 3], abs=0.12)
+
+
+def test_what_presses_shows_in_both_readings_and_not_in_the_air(made: Made, tmp_path):  # noqa: F811
+    """A belt that wanders on a clock: no steps of wheel and blade that happen to fit, as its friction says where it acts."""
+    clock = made.base.columns["clock"]
+    wave = np.sin(5.0 * np.pi * (clock - clock.min()) / np.ptp(clock) + 1.0)
+    log, _ = _log(made.base, (Planted(overlap=lambda base: 6e-5 * wave),), tmp_path)
+    channel = _again(made, log)
+    kernel = next(k for k in kernels(channel.conditions) if k.where == "clock wave")
+    own, reading = kernel.changes[:, :, 0], kernel.changes[:, :, kernel.changes.shape[2] // 2]
+    assert np.allclose(own, channel.conditions.pressed[:, :, None] * reading[:, :1])
+    touching = log.contact
+    assert np.abs(own[~touching]).max() == 0.0 < np.abs(own[touching, 1]).max() and np.abs(reading[:, 1]).max() == 0.0
+    found = diagnose_channels([channel], EFFECTS)
+    assert found.p_unknown > 0.9 and not found.active
 
 
 def test_columns_beside_a_delay_are_what_the_prediction_does(made: Made):  # noqa: F811

@@ -21,7 +21,7 @@ from ocp.diagnose.tracker.background import DRAWS, _line, _Waves, _weights, _wit
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.diagnose.tracker.refit import _width_of_weights, usual_noise
 from ocp.diagnose.verdict.answer import SignalGap, promised
-from ocp.diagnose.verdict.diagnosis import screened
+from ocp.diagnose.verdict.diagnosis import leader, screened
 from ocp.diagnose.verdict.probabilities import alternatives, gathered, posterior
 from ocp.diagnose.verdict.remaining import Remaining, remaining
 from ocp.diagnose.verdict.shrinkage import (
@@ -142,6 +142,21 @@ def test_what_stands_for_one_of_two_names_is_followed_beside_the_other():
     assert [one.probability for one in told] == pytest.approx([0.5, 0.5])
     told, _, _ = of_name_or(kernel, problem, beside=(1,))
     assert [[a.effect.name for a in one.active] for one in told] == [["e0", "e1"], ["e1"]]
+
+
+def test_three_words_for_one_cause_are_no_three_causes(monkeypatch):
+    """Of explanations as e0, e1 (one class) and e2, the likeliest alone is e2, the likeliest cause the class."""
+    toy, found = problem_of(planted=((0, 1.0),))
+    problem = linearised([toy], found, Options())
+    sets = {frozenset({f}): Weighed(log, (Member(f, 0, 1.0),)) for f, log in ((0, 5.1), (1, 5.0), (2, 5.3))}
+    families = len(problem.pool.families)
+    search = SimpleNamespace(sets=sets, kernel=np.zeros(families, bool), background=np.zeros(families, bool))
+    one_class = ((Name("e0", 0), Name("e1", 0)),)
+    told = posterior(problem, search)
+    assert leader(problem, search, told)[1] == (Name("e2", 0),)
+    monkeypatch.setattr("ocp.diagnose.verdict.diagnosis.classes_of", lambda *_: one_class)
+    assert leader(problem, search, told) == (sets[frozenset({0})], (Name("e0", 0),))
+    assert leader(problem, search, replace(told, p_none=0.5)) == (Weighed(0.0, ()), ())
 
 
 def test_patches_too_unlikely_to_be_followed_are_followed_together():

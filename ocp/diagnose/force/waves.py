@@ -63,16 +63,22 @@ def telling_waves(problem: ForceProblem, fit: EffectFit) -> tuple[Wave, ...]:
         sizes = [float(np.sum(white.whole(masked[:, None] * _both(numbers[k] * along)) ** 2)) / 2 for k in probes]
         gain = score / np.interp(numbers, numbers[probes], sizes)
         among = max(int(len(numbers) / 2), WAVES_PICKED)
-        waves = [(where, 1, k) for k in _peaks(gain)]
+        waves = [(where, numbers[k], 1) for k in _peaks(gain)]
         # The first overtone has to be among the numbers: one wave is no period.
         periods = gain[numbers <= 0.5 * numbers[-1]].copy()
         for tone in range(2, OVERTONES + 1):
             periods += np.interp(tone * numbers[: len(periods)], numbers, gain, right=0.0)
-        waves += [(where.replace("wave", "period"), OVERTONES, k) for k in _peaks(periods)]
-        for name, tones, k in waves:
-            tones = min(tones, int(numbers[-1] / numbers[k]))
-            columns = [_both(tone * numbers[k] * along) for tone in range(1, tones + 1)]
-            found.append(Wave(name, float(numbers[k]), masked[:, None] * np.hstack(columns), among))
+        for k in _peaks(periods):
+            tones = np.arange(1, min(OVERTONES, int(numbers[-1] / numbers[k])) + 1)
+            # The last tone's lines are as many times narrower.
+            near = numbers[k] + np.linspace(-1.0, 1.0, 4 * OVERTONES + 1) / (FINE * length)
+            all_tones = np.outer(tones, near).ravel()
+            gains = np.abs(np.exp(2j * np.pi * np.outer(all_tones, along)) @ (masked * y)) ** 2
+            best = np.argmax((gains / np.interp(all_tones, numbers[probes], sizes)).reshape(len(tones), -1).sum(axis=0))
+            waves.append((where.replace("wave", "period"), near[best], len(tones)))
+        for name, number, count in waves:
+            columns = [_both(tone * number * along) for tone in range(1, count + 1)]
+            found.append(Wave(name, float(number), masked[:, None] * np.hstack(columns), among))
     return tuple(found)
 
 
