@@ -1,12 +1,13 @@
 """The waves of time and path, and the trains of knocks of a belt's splice, that a force log speaks for most.
 
-**Waves**: a chatter, a saw along a scarred guide, a wheel that is not round. Of the whitened residual e = W y about a fit, with
-y = W^T e and unit waves c, s of one number,
+**Waves**: a chatter, a wheel that is not round. Of the whitened residual e = W y about a fit, with y = W^T e and unit waves c, s
+of one number,
 
     gain = ((c^T y)^2 + (s^T y)^2) / (1/2 (|W c|^2 + |W s|^2)),
 
-the squares that the wave takes from the residual; lengths are taken at a few numbers and interpolated. What averages over
-blocks lose of the picked ones is kept as rows of their own (`log_averages.py`).
+the squares that the wave takes from the residual; lengths are taken at a few numbers and interpolated. **Periods** are waves with
+overtones, a saw along a scarred guide: their gains are sums. What averages over blocks lose of the picked ones is kept as rows of
+their own (`log_averages.py`).
 
 **Trains**: a knock a hundred times shorter than a run, among 10 rates a second and all places of a turn: far too many variants to
 linearise each. With y = W^T e as above, a train of bells h at rate f, place p and length w has
