@@ -313,6 +313,8 @@ def _safe(answer: Answer, out: Path) -> str:
     if answer.patch is not None:
         told = "what is known, and a patch for the rest" if answer.written else "a patch for it"
         return f"{out / 'corrected_cell.toml'} holds {told}, which explains nothing and fades outside what was measured"
+    if told_as(answer.diagnosis) == "ambiguous" and not answer.written:
+        return f"{out / 'corrected_cell.toml'} corrects nothing of it; measure what the report asks for"
     planned = any(one.effect.along is None for one in answer.written)  # what depends on a recording's past is in no plan
     return {
         "explained": f"{out / 'corrected_cell.toml'} {'plans with it' if planned else 'holds it, which no plan can act on'}",

@@ -117,13 +117,15 @@ def believed_effects(wanted: AskedRun, cell: Cell) -> tuple[list[Planted], list[
         else:
             lacking.append(one.active.effect.title if one.name.startswith(PATCH) else one.name)
     names = ", ".join(dict.fromkeys(lacking))
-    why = "a drawn machine has what --effect plants alone" if wanted.machine == "drawn" else "no virtual cell can be given that"
+    drawn = "a drawn machine has what --effect plants alone"
+    why = drawn if wanted.machine == "drawn" else "it knows that in another form, which --effect plants, or not at all"
     return own, [f"{cell.path.name} believes in {names}, and the virtual cell has nothing of it: {why}"] if lacking else []
 
 
 def planted_effects(wanted: AskedRun, cell: Cell, own: Sequence[Planted] = ()) -> tuple[Planted, ...]:
-    """What is planted: the cell's `own`, what was named, then what is drawn at random. Raises BadInput in one sentence."""
-    found = [*own, *(parse_effect(text) for text in wanted.effects)]
+    """What is planted: what was named, then what is drawn at random, on top of the cell's `own`. Raises BadInput in one
+    sentence."""
+    found = [parse_effect(text) for text in wanted.effects]
     if wanted.random is not None:
         word, _, number = wanted.random.partition(":")
         if word != "random" or not re.fullmatch(r"\d{1,9}", number, re.ASCII) or not 0 <= int(number) <= MOST_EFFECTS:
@@ -142,7 +144,7 @@ def planted_effects(wanted: AskedRun, cell: Cell, own: Sequence[Planted] = ()) -
             raise BadInput(
                 f"effect '{one.effect}' shows only while grinding; name a plan's folder, or choose an effect of the arm"
             )
-    return tuple(found)
+    return (*own, *found)
 
 
 def _drawn(wanted: AskedRun, cell: Cell, count: int) -> list[Planted]:

@@ -10,6 +10,7 @@ from scipy.stats import chi2
 from ocp.diagnose.answering import tracker_channel
 from ocp.diagnose.dataset import read_data_set
 from ocp.diagnose.engine.beam import NOTHING, Search
+from ocp.diagnose.engine.channel_system import Wave
 from ocp.diagnose.engine.findings import Name, Options
 from ocp.diagnose.engine.kernels import kernels
 from ocp.diagnose.engine.linearisation import linearised
@@ -17,12 +18,12 @@ from ocp.diagnose.engine.search import Diverged, search_and_refit
 from ocp.diagnose.force import fit as fitting
 from ocp.diagnose.force.channel import ForceChannel
 from ocp.diagnose.force.fit import fit_effects, linear
-from ocp.diagnose.force.waves import likely_trains, picked_squares
+from ocp.diagnose.force.waves import likely_trains, picked_squares, telling_waves
 from ocp.diagnose.rules import HOPELESS_FITS, OVERTONES
 from ocp.diagnose.verdict import diagnosis
 from ocp.diagnose.verdict.diagnosis import diagnose_channels, findings
 from robots.errors import Infeasible
-from tests.diagnose.test_diagnosis_force import EFFECTS, Made, _active, _again, _log, made  # noqa: F401
+from tests.diagnose.test_diagnosis_force import EFFECTS, Made, _active, _again, _log, _part, made  # noqa: F401
 from tests.support.diagnosis_force_world import Planted
 
 
@@ -98,6 +99,25 @@ def test_a_saw_along_the_path_is_one_unknown_with_its_overtones(made: Made, tmp_
     assert orders == pytest.approx([1, 1, 2, 2, 3, 3], rel=0.02)
     fitted = channel.with_active((patch,)).active[0].a[1::2]  # sines of a saw: -2 / (pi k) each
     assert fitted / fitted[0] == pytest.approx([1.0, 0.5, 1 / 3], abs=0.12)
+
+
+def test_recordings_of_a_few_rows_have_no_period(made: Made):  # noqa: F811
+    channel = made.channel
+    few = np.flatnonzero(made.channel.log.contact)[:9]
+    problem = _part(channel.problem, few)
+    waves = telling_waves(problem, fit_effects(problem))
+    assert not [w for w in waves if "period" in w.where]
+
+
+def test_a_tone_that_a_period_holds_is_picked_once(made: Made):  # noqa: F811
+    x = np.linspace(0.0, 3.0, 500)
+    tones = np.column_stack([f(2 * np.pi * k * x) for k in (1, 2, 3) for f in (np.cos, np.sin)])
+    period = Wave("s period", 1.0, tones, 200)
+    for columns, alone in ((tones[:, 2:4], False), (np.cos(2 * np.pi * 4.2 * x)[:, None] * [1.0, 1.0], True)):
+        wave = Wave("s wave", 0.0, columns, 200)
+        more = 2.0 * np.log(200) - 2.0 if alone else 0.0
+        assert picked_squares([wave, period]) == pytest.approx(picked_squares([period]) + more)
+        assert picked_squares([replace(wave, where="time wave"), period]) > picked_squares([period]) + 1.0
 
 
 def test_what_presses_shows_in_both_readings_and_not_in_the_air(made: Made, tmp_path):  # noqa: F811

@@ -57,6 +57,32 @@ def test_names_that_cannot_be_told_apart_are_both_in_the_sentence():
     assert verdict_sentence._or_what_it_may_be(drift, ((play, windup),)) == verdict_sentence.effect_words(drift)
 
 
+@pytest.mark.parametrize(
+    ("verdict", "active", "written", "told", "safe"),
+    [
+        ("partly", (), (), "unexplained", "Do not rely on the believed cell there"),
+        ("partly", (1,), (1,), "partly", "holds what is known"),
+        ("ambiguous", (1,), (), "ambiguous", "corrects nothing of it; measure what the report asks for"),
+        ("ambiguous", (1,), (1,), "ambiguous", "holds the likeliest"),
+    ],
+)
+def test_nothing_is_said_to_be_held_that_is_not(verdict, active, written, told, safe):
+    found = SimpleNamespace(verdict=verdict, active=active)
+    effects = [SimpleNamespace(effect=SimpleNamespace(along=None)) for _ in written]
+    assert verdict_sentence.told_as(found) == told
+    assert safe in answering._safe(SimpleNamespace(diagnosis=found, patch=None, written=effects), Path("out"))
+
+
+def test_columns_of_sealed_files_that_are_passed_over_are_told(tmp_path):
+    folder = write_tracker_folder(tmp_path / "set", 3, 1e-4, n=40, sealed=3)
+    folder = tmp_path / "set" if folder is None else folder
+    file = tmp_path / "set" / "sealed_tracker.csv"
+    head, *rows = file.read_text().splitlines()
+    file.write_text("\n".join([f"{head},humidity", *(f"{row},50" for row in rows)]) + "\n")
+    told = write_diagnosis(tmp_path / "set", tmp_path / "out", False, Phases()).notices
+    assert "sealed_tracker.csv: columns humidity were ignored" in told
+
+
 def test_sealed_conditions_beyond_the_measured_ones_are_told():
     measured = replace(campaign_readings(np.random.default_rng(1), 40), temperature=np.linspace(20.0, 25.0, 40))
     heaviest = int(measured.payload.max())

@@ -156,7 +156,20 @@ def test_three_words_for_one_cause_are_no_three_causes(monkeypatch):
     assert leader(problem, search, told)[1] == (Name("e2", 0),)
     monkeypatch.setattr("ocp.diagnose.verdict.diagnosis.classes_of", lambda *_: one_class)
     assert leader(problem, search, told) == (sets[frozenset({0})], (Name("e0", 0),))
-    assert leader(problem, search, replace(told, p_none=0.5)) == (Weighed(0.0, ()), ())
+    # None is weighed against the cause; a name that all others imitate does not gather what is theirs.
+    assert leader(problem, search, replace(told, p_none=told.probability[Name("e2", 0),] + 0.01))[1] == (Name("e0", 0),)
+    assert leader(problem, search, replace(told, p_none=0.7)) == (Weighed(0.0, ()), ())
+    every = {"e1": ((Name("e0", 0), Name("e1", 0), Name("e2", 0)),)}
+
+    def of_each(_problem, weighed, _signatures):
+        return every.get(found_name(problem, weighed), ())
+
+    monkeypatch.setattr("ocp.diagnose.verdict.diagnosis.classes_of", of_each)
+    assert leader(problem, search, told)[1] == (Name("e2", 0),)
+
+
+def found_name(problem, weighed):
+    return problem.pool.families[weighed.members[0].family].name.effect
 
 
 def test_patches_too_unlikely_to_be_followed_are_followed_together():
@@ -180,6 +193,8 @@ def test_what_springs_take_back_is_no_error_of_an_effect():
 def test_weights_are_believed_as_widely_as_the_readings_ask(weights, low, high):
     layout = channel(world(4, weights=weights)[0]).task.layout
     assert low <= (layout.prior_sd / layout.scale)[layout.links[0]] <= high
+    # What a maker knows of links says nothing of what a shop knows of its payloads.
+    assert np.all((layout.prior_sd / layout.scale)[layout.payload[layout.payload >= 0]] == 1.0)
 
 
 def test_folds_that_are_no_worse_than_chance_take_nothing_away():

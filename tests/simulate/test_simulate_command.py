@@ -227,6 +227,15 @@ def test_a_machine_as_believed_has_the_cells_own_effects_and_others_are_told(tmp
     assert "planted backlash:5 (half_width_rad=0.0004)" in told["own"].out
     assert "believes in payload_mass, and the virtual cell has nothing of it" in told["own"].err
     assert "believes in" not in told["none"].err
+    # Two lines of one gear are two effects, and what is asked for comes on top.
+    lines = "".join(
+        f'[[effects]]\neffect = "gear_harmonic"\njoint = 4\norder = {k}\namplitude_rad = 5e-5\nphase_rad = 0.1\n'
+        for k in (19, 38)
+    )
+    (tmp_path / "lines.toml").write_text(CELL.read_text() + lines)
+    more = ("--machine", "believed", "--poses", "6", "--effect", "gear_harmonic:4=4e-5,order=7")
+    both = simulated("--cell", tmp_path / "lines.toml", "--out", tmp_path / "lines", *more)
+    assert both.code == 0 and all(f"order={k}" in both.out for k in (19, 38, 7)), both.err
     drawn = simulated("--cell", tmp_path / "own.toml", "--out", tmp_path / "drawn", "--poses", "6")
     assert "believes in backlash, payload_mass, and" in drawn.err and "nothing planted" in drawn.out
 

@@ -6,8 +6,8 @@ are tested like effects (same projection, same evidence); a condition that wins 
 effect outside it.
 
 Kernels of a force log act at the contact, with its friction and not in the air, or on the normal reading alone: how a sensor's
-second axis reads is its own affair. Of waves of time and path only the one that the log speaks for most takes part
-(`ocp.diagnose.force.waves`).
+second axis reads is its own affair. Of waves of time and path, which are of the reading, only those that the log speaks for most
+take part (`ocp.diagnose.force.waves`).
 """
 
 from collections.abc import Iterator

@@ -34,7 +34,7 @@ from robots.pose import Array
 
 TURNS = (1, 2, 3, 4)  # waves per revolution of the wheel
 HIGHEST = 0.8  # of half the logging rate
-SHORTEST = 3e-3  # m, of a wave along the path
+SHORTEST = 2e-3  # m, of a wave along the path
 FINE = 4  # numbers tried in the width of a line
 LENGTH_PROBES = 12
 SIDE = 16  # numbers between two whose waves are taken whole
@@ -65,17 +65,15 @@ def telling_waves(problem: ForceProblem, fit: EffectFit) -> tuple[Wave, ...]:
         gain = score / np.interp(numbers, numbers[probes], sizes)
         among = max(int(len(numbers) / 2), WAVES_PICKED)
         waves = [(where, numbers[k], 1) for k in _peaks(gain)]
-        # The first overtone has to be among the numbers: one wave is no period.
-        periods = gain[numbers <= 0.5 * numbers[-1]].copy()
-        for tone in range(2, OVERTONES + 1):
-            periods += np.interp(tone * numbers[: len(periods)], numbers, gain, right=0.0)
+        tones = np.arange(1, OVERTONES + 1)
+        able = numbers[numbers * OVERTONES <= numbers[-1]]
+        periods = np.sum([np.interp(tone * able, numbers, gain) for tone in tones], axis=0)
         for k in _peaks(periods):
-            tones = np.arange(1, min(OVERTONES, int(numbers[-1] / numbers[k])) + 1)
             # The last tone's lines are as many times narrower.
-            near = numbers[k] + np.linspace(-1.0, 1.0, 4 * OVERTONES + 1) / (FINE * length)
-            all_tones = np.outer(tones, near).ravel()
-            gains = np.abs(np.exp(2j * np.pi * np.outer(all_tones, along)) @ (masked * y)) ** 2
-            best = np.argmax((gains / np.interp(all_tones, numbers[probes], sizes)).reshape(len(tones), -1).sum(axis=0))
+            near = able[k] + np.linspace(-1.0, 1.0, 4 * OVERTONES + 1) / (FINE * length)
+            every = np.outer(tones, near).ravel()
+            gains = np.abs(np.exp(2j * np.pi * np.outer(every, along)) @ (masked * y)) ** 2
+            best = np.argmax((gains / np.interp(every, numbers[probes], sizes)).reshape(len(tones), -1).sum(axis=0))
             waves.append((where.replace("wave", "period"), near[best], len(tones)))
         for name, number, count in waves:
             columns = [_both(tone * number * along) for tone in range(1, count + 1)]
@@ -92,8 +90,16 @@ def _transform(numbers: Array, along: Array, y: Array) -> Array:
 
 def picked_squares(waves: Iterable[Wave]) -> float:
     """Squares beyond their number that noise alone has in the rows of waves that were picked among many."""
-    picked = [w for w in waves if w.where != "turn"]
+    picked = [w for w in waves if w.where != "turn" and not any(_holds(period, w) for period in waves)]
     return float(sum(chdtri(w.columns.shape[1], 1.0 / w.among) - w.columns.shape[1] for w in picked))
+
+
+def _holds(period: Wave, wave: Wave) -> bool:
+    """Whether a wave is one of a period's tones, whose rows it shares."""
+    if period.where != wave.where.replace("wave", "period") or period is wave:
+        return False
+    Q = np.linalg.qr(period.columns)[0]
+    return bool(np.sum((Q.T @ wave.columns) ** 2) > 0.5 * np.sum(wave.columns**2))
 
 
 def _kinds(problem: ForceProblem, fit: EffectFit) -> Iterator[tuple[str, Array, Array, float]]:
@@ -121,7 +127,7 @@ def _both(turns: Array) -> Array:
 def _peaks(gain: Array) -> list[int]:
     """Indices of the largest gains, a line's width apart."""
     left, found = gain.copy(), list[int]()
-    while len(found) < WAVES_PICKED and left.max() > 0:
+    while len(found) < WAVES_PICKED and left.size and left.max() > 0:
         k = int(np.argmax(left))
         found.append(k)
         left[max(0, k - FINE) : k + FINE + 1] = 0.0

@@ -155,19 +155,20 @@ def findings(
 
 def leader(problem: Linearisation, search: Search, found: Posterior) -> tuple[Weighed, Names]:
     """The set whose effects are accepted and its explanation: none, or the one that is most probable with all that differ from it
-    by names of one class: three words for one cause are no three causes. Without the classes force world 24 of seed 63
-    (flange_stiffness and backlash) leaves its backlash out."""
+    by names of one class and are less probable: three words for one cause are no three causes. Without the classes force world 24
+    of seed 63 (flange_stiffness and backlash) leaves its backlash out."""
     ordered = sorted(found.probability, key=lambda n: -found.probability[n])[: rules.MOST_FOLLOWED]
-    if not ordered or found.p_none >= found.probability[ordered[0]]:
+    if not ordered:
         return Weighed(0.0, ()), ()
     together = {n: found.probability[n] for n in ordered}
     for names in ordered if found.probability[ordered[0]] < rules.EXPLAINED else ():
         weighed = search.sets[found.best[names]]
         signatures = [signature(problem, weighed, one) for one in problem.values(weighed)]
         alike = next(g for g in _alike(found, classes_of(problem, weighed, signatures)) if names in g)
-        together[names] = sum(found.probability[n] for n in alike)
+        if alike[0] == names:  # a weak set is imitated by nearly everything
+            together[names] = sum(found.probability[n] for n in alike)
     best = max(ordered, key=lambda n: (round(together[n], 3), found.probability[n]))
-    return search.sets[found.best[best]], best
+    return (Weighed(0.0, ()), ()) if found.p_none >= together[best] else (search.sets[found.best[best]], best)
 
 
 def named_part(problem: Linearisation, weighed: Weighed) -> Given:

@@ -160,7 +160,8 @@ def as_patch(name: Name, variant: int, size: float, channel: Channel) -> Active 
     middle = 0.0
     if source == "reading":
         there = [a.scanned["source"] for a in channel.active if is_patch(a.effect)]
-        alone = "sensor" in there or (c.pressed is not None and variant == 1 and "period" not in where and "wave" not in where)
+        picked = "wave" in where or "period" in where  # which come in one form
+        alone = "sensor" in there if there else variant == 1 and c.pressed is not None and not picked
         features, source = of_reading(where, variant, c), "sensor" if alone else "force"
     elif source == "joint":
         features = of_joint(where, name.joint, variant, c)

@@ -179,8 +179,8 @@ def alternatives(
         plain = max((sets[k] for k in kept), key=lambda s: s.log, default=Weighed(0.0, ()))
         here = [(Alternative(p - (unknown if patches else 0.0), ()), plain)]
         here += [(one, max(strange.values(), key=lambda s: s.log)) for one in patches]
-        for one, weighed in here:
-            there = (*problem.values(weighed), *_nameless(problem, weighed, active, signatures), *unfaded(one.active))
+        for one, best in here:
+            there = (*problem.values(best), *_nameless(problem, best, active, signatures), *unfaded(one.active))
             listed.append(replace(one, active=there))
     return _summed(listed)
 
