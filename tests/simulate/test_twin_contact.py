@@ -15,7 +15,7 @@ from ocp.model.prepare import wheel_cover
 from ocp.simulate.twin.contact.grinder import FAR_APART
 from ocp.simulate.twin.contact.rubber import cover_section, make_rubber, press
 from ocp.simulate.twin.contact.surface import facets, gap, near, postures, wheel_on_blade
-from ocp.simulate.twin.contact.table import LATTICE, LEVELS, SolvedStations, depth_curves, place_stations
+from ocp.simulate.twin.contact.table import LATTICE, LEVELS, PlannedLines, SolvedStations, depth_curves, place_stations
 from ocp.simulate.twin.contact.wheel_and_blade import solid_compliance
 from tests.support.small_plan import small_cell
 from tests.support.twin_grinding import BAR, FEED, HERTZ_RATE, Bench, moments
@@ -190,6 +190,18 @@ def test_a_posture_is_told_and_built_alike():
         assert found.depth[0] == pytest.approx(5e-4, abs=1e-12)
         radial = p - sunk - frame[1] * ((p - sunk) @ frame[1])
         assert found.overlap[0] == pytest.approx(0.04 - np.linalg.norm(radial), abs=1e-12)
+
+
+def test_stations_on_known_lines_do_not_depend_on_where_the_instants_lie(bench):
+    fine = moments(bench.cell, np.arange(0, 0.03, 1e-3), 5e-4)
+    lines = PlannedLines(fine.line, fine.s, fine.p, fine.n, fine.t)
+    own = place_stations(fine, np.arange(len(fine.s)), fine.s)
+    for places in (np.arange(1e-3, 0.029, 4e-3), np.array([2.2e-3, 0.0171])):
+        few = moments(bench.cell, places, 5e-4)
+        found = place_stations(few, np.arange(len(places)), places, lines)
+        assert np.array_equal(found.p, own.p) and np.array_equal(found.s, own.s)
+        between = (1.0 - found.share) * own.s[found.left] + found.share * own.s[found.right]
+        assert between == pytest.approx(places, abs=1e-9)
 
 
 def test_curves_off_the_lattice_are_the_direct_solution(bench):
