@@ -139,6 +139,8 @@ def _sentence(path: Path, text: str, error: ValidationError, schema: type[BaseMo
         return f"{where}: {name} has {len(given)} entries, expected {fault['ctx']['max_length']}; remove what is too much"
     if isinstance(given, float) and not math.isfinite(given):
         return f"{where}: {name} = {given}: not a finite number; write a number"
+    if fault["type"] == "tuple_type" and isinstance(given, dict):
+        return f"{where}: [{name}] is a list of tables; write [[{name}]], once for each"
     message = fault["msg"].removeprefix("Value error, ")
     if fault["type"] == "value_error":
         named = re.match(r"[a-z_]+(\.[a-zA-Z_]+)+", message)

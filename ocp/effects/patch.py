@@ -301,8 +301,10 @@ def patch_of(table: Mapping[str, Any]) -> Active:
         raise ValueError(f"a patch of {len(a)} weights needs a covariance of as many rows and columns")
     a, covariance = np.asarray(a, float), np.asarray(rows, float).reshape(len(a), len(a))
     variance = np.diag(covariance)
-    if not (np.isfinite(covariance).all() and np.allclose(covariance, covariance.T) and (variance >= 0).all()):
-        raise ValueError("the covariance of a patch is symmetric, of finite numbers, with no negative variance")
+    if not (np.isfinite(a).all() and np.isfinite(covariance).all()):
+        raise ValueError("weights and covariance of a patch are finite numbers; correct those that are not")
+    if not _is_covariance(covariance):
+        raise ValueError("the covariance of a patch is symmetric, and no sum of its weights has a negative variance; correct it")
     most, unit = (MOST_PUSH, "N") if source in ON_CONTACT else (MOST_WEIGHT, "rad or m")
     if not (np.abs(a) <= most).all() or (variance > most**2).any():
         raise ValueError(f"weights of a patch and their deviations are at most {most:g} {unit}; are they in SI units?")
@@ -312,6 +314,15 @@ def patch_of(table: Mapping[str, Any]) -> Active:
     if len(a) != len(made.a) or not np.isfinite(more.get("about", (0.0,))).all():
         raise ValueError(f"a patch of these features needs {len(made.a)} weights, and finite numbers in about")
     return Active(made.effect, joint, a, made.scanned, covariance)
+
+
+def _is_covariance(matrix: Array) -> bool:
+    """Symmetric and positive semidefinite, to the digits that a file has."""
+    size = np.sqrt(np.maximum(np.diag(matrix), 0.0))
+    if (np.diag(matrix) < 0).any() or (np.abs(matrix - matrix.T) > 1e-6 * np.outer(size, size)).any():
+        return False
+    unit = np.where(size > 0, size, 1.0)
+    return bool(np.linalg.eigvalsh(matrix / np.outer(unit, unit)).min(initial=0.0) > -1e-6)
 
 
 def _check_conditions(source: str, features: Sequence[str], measured: Mapping[str, Sequence[float]]) -> None:

@@ -62,6 +62,10 @@ def check_numbers(wanted: AskedRun) -> None:
     for name, value, low, high in (*limits, ("--clock", wanted.clock, 0.0, 1e7)):
         if not low <= value <= high:
             raise BadInput(f"{name} {value:g} must lie between {low:g} and {high:g}")
+    if wanted.machine != "drawn" and wanted.size != 1.0:
+        raise BadInput(
+            f"--size {wanted.size:g}: is of the errors of a drawn machine, --machine {wanted.machine} has none; leave it out"
+        )
     if wanted.joints and wanted.plan is None:
         raise BadInput("--joints needs a plan to drive; name the plan's folder")
     if (wanted.ladder or wanted.belts) and wanted.plan is None:

@@ -115,6 +115,8 @@ def _simulated(
     own, notices = believed_effects(wanted, cell)
     planted = planted_effects(wanted, cell, own)
     truth = draw_truth(cell, wanted.seed, planted, wanted.machine, wanted.size)  # type: ignore[arg-type]
+    with phases.phase("tracker"):  # first: what is wrong with it is known at once
+        log = _track(wanted, cell)
     ground = None
     if program is not None and folder is not None:
         hung = {cell.workpiece.payload_name: cell.workpiece.payload}
@@ -122,9 +124,7 @@ def _simulated(
         notices += refuse_stranger(program, cell, summary, folder)
         ground = _grind(wanted, cell, truth, program, folder, phases)
         notices += ground.track.notices
-    with phases.phase("tracker"):
-        log = _track(wanted, cell, ground)
-        notices += [n for n in _campaign_notices(cell, log) if n not in notices]
+    notices += [n for n in _campaign_notices(cell, log) if n not in notices]
     with output.whole() as partial, phases.phase("writing"):
         rows = _write(wanted, cell, truth, ground, log, partial, notices)
     rehearsal, readings = None if ground is None else ground.rehearsal, 0 if log is None else len(log.design)
@@ -159,7 +159,7 @@ def _grind(wanted: AskedRun, cell: Cell, truth: Truth, program: KrlProgram, fold
     return _Ground(folder, program, track, machine, campaign, rehearsal, missed, travel, depth)
 
 
-def _track(wanted: AskedRun, cell: Cell, ground: _Ground | None) -> TrackerLog | None:
+def _track(wanted: AskedRun, cell: Cell) -> TrackerLog | None:
     """The tracker campaign; None where there is nothing to measure with or nothing is asked."""
     if wanted.poses == "0":
         nothing = "--poses 0 without a plan leaves nothing to do; name a plan's folder or ask for postures"
@@ -167,7 +167,7 @@ def _track(wanted: AskedRun, cell: Cell, ground: _Ground | None) -> TrackerLog |
         nothing = f"{cell.path}: no nests in [tracker.targets], and no plan to grind; add one of them"
     else:
         return tracker_log(wanted.poses, cell, wanted.seed, wanted.sealed)
-    if ground is None:
+    if wanted.plan is None:
         raise BadInput(nothing)
     return None
 

@@ -71,6 +71,9 @@ def update(
         mark = log_mark(log)
         if {mark, sha256(log_file)} & set(history.logs):  # the file's own hash: of updates before logs were known by content
             raise BadInput(f"{log_file}: an earlier update used this log already; give the log of the blade ground since")
+        known = {} if believed.calibration is None else believed.calibration.provenance.get("data_sha256", {})
+        if sha256(log_file) in known.values():
+            raise BadInput(f"{log_file}: the cell was calibrated with this log; give the log of the blade ground since")
         with phases.phase("contact"):
             setup = prepare_force(replace(believed, calibration=None), [log])
         with phases.phase("fit"):

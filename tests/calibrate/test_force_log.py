@@ -95,6 +95,30 @@ def test_what_is_sealed_is_no_condition(tmp_path):
         assert np.isnan(log.fn).all() and log.ft is None and log.notices[0] == "force.csv: columns fn_N, ft_N were ignored"
 
 
+def test_readings_that_are_exchanged_or_a_setpoint_of_nothing_are_refused(tmp_path):
+    flange = SimpleNamespace(flange=SimpleNamespace(setpoint=20.0), process=SimpleNamespace(force=20.0))
+    for friction in (0.35, 0.6):
+        swapped = rows(fn_N=20.0 * friction, ft_N=20.0, contact=1, setpoint_N=20.0)
+        with pytest.raises(BadInput, match="look exchanged"):
+            refuse_force_unit(read(tmp_path, swapped), flange)
+        refuse_force_unit(read(tmp_path, rows(fn_N=20.0, ft_N=20.0 * friction, contact=1, setpoint_N=20.0)), flange)
+    refuse_force_unit(read(tmp_path, rows(fn_N=19.0, ft_N=22.0, contact=1, setpoint_N=20.0)), flange)  # a coarse belt
+    idle = [{**row, "setpoint_N": 0.0 if k else 20.0} for k, row in enumerate(rows(fn_N=20.0, contact=1))]
+    with pytest.raises(BadInput, match="line 3, column setpoint_N: 0 in contact"):
+        refuse_force_unit(read(tmp_path, idle), flange)
+
+
+def test_rows_given_twice_and_times_of_another_unit_are_refused(tmp_path):
+    moving = [{**row, "pz_mm": 0.4 * k, "fn_N": 20.0 + 0.01 * k} for k, row in enumerate(rows(40, contact=1, feed_mm_s=40.0))]
+    assert len(read(tmp_path, moving)) == 40
+    with pytest.raises(BadInput, match="line 3, column time_s: .* repeats line 2, as 40 rows do; remove the copies"):
+        read(tmp_path, [row for row in moving for _ in range(2)])
+    with pytest.raises(BadInput, match="time_s: .* makes the points move at 0.04 mm/s .* where feed_mm_s says 40; give seconds"):
+        read(tmp_path, [{**row, "time_s": 1e3 * row["time_s"]} for row in moving])
+    minutes = read(tmp_path, [{**row, "time_s": row["time_s"] / 60} for row in moving])
+    assert any("while the points move at 2.4e+03 mm/s" in notice for notice in minutes.notices)
+
+
 def test_without_the_flag_a_run_near_zero_is_air_and_said_so(tmp_path):
     table = rows(30) + [{**row, "run": "b", "fn_N": 0.3 * (-1) ** k} for k, row in enumerate(rows(30))]
     log = read(tmp_path, table)

@@ -42,7 +42,10 @@ OTHER_UNITS = {"kilograms-force (or decanewtons)": 9.80665, "pounds-force": 4.44
 OTHER_UNIT_NEAR = 0.08  # a controlled force keeps as near to its setpoint
 SAME_SETPOINT = 5e-4  # a setpoint is a round number in one unit only
 MOST_FRICTION = 3.0  # coated abrasives grind with 0.3 to 1
+EXCHANGED = 0.3  # of how far fn_N is from what was asked for (log), how near a larger ft_N is then
+OTHER_TIME = 50.0  # times slower than the feed: milliseconds are farther off, what a log may say of its feed is nearer
 FEED_APART = 3.0  # times; other units are farther apart, a feed that ramps or that an override lowers is nearer
+LEAST_WAY = 5e-3  # m; over which points that move were ground along, however slowly they seem to move
 CREEP = 1e-3  # m/s; points that are read off a standing arm move by less
 AIR_SHARE = 0.15  # of the log's usual force, below which a row without `contact` is taken for air
 AIR_WINDOW = 9  # rows over whose median that is judged
@@ -210,6 +213,12 @@ def refuse_force_unit(log: ForceLog, cell: Cell) -> None:
     pressed = log.fn[log.contact]
     asked = np.full(len(pressed), wanted) if own is None else own[log.contact]
     there, seen, told = asked > 0, float(np.median(pressed)), float(np.median(asked))
+    if cell.flange is not None and told == 0 < seen:
+        k = int(log.row[np.flatnonzero(log.contact)[np.argmin(asked)]])
+        raise BadInput(
+            f"{log.path}, line {k}, column setpoint_N: 0 in contact, as in most of the log, where fn_N is {seen:.3g} N (median); "
+            "give what the flange was asked for, or leave the column out"
+        )
     share = float(np.median(pressed[there] / asked[there])) if there.any() else 1.0
     for unit, newtons in OTHER_UNITS.items():
         if abs(share * newtons - 1.0) < OTHER_UNIT_NEAR:
@@ -226,7 +235,13 @@ def refuse_force_unit(log: ForceLog, cell: Cell) -> None:
         raise BadInput(
             f"{log.path}, column setpoint_N: fn_N is {share:.3g} times as large in contact (median); give both in newtons"
         )
-    if log.ft is not None and (pull := float(np.median(np.abs(log.ft[log.contact])))) > MOST_FRICTION * abs(seen):
+    pull = 0.0 if log.ft is None else float(np.median(np.abs(log.ft[log.contact])))
+    if min(told, seen) > 0 and pull > seen and abs(np.log(pull / told)) < EXCHANGED * abs(np.log(seen / told)):
+        raise BadInput(
+            f"{log.path}, columns fn_N, ft_N: fn_N is {seen:.3g} and ft_N {pull:.3g} in contact (median) where {told:.3g} N were "
+            "asked for; they look exchanged: exchange them"
+        )
+    if pull > MOST_FRICTION * abs(seen):
         raise BadInput(
             f"{log.path}, column ft_N: {pull:.3g} in contact (median) where fn_N is {seen:.3g}: no belt pulls by over "
             f"{MOST_FRICTION:g} times the normal force; give both in newtons"
@@ -321,9 +336,16 @@ def _standing_still(table: CsvTable, run: Index, contact: Flags) -> list[str]:
     moving = np.linalg.norm(np.diff(p, axis=0), axis=1)[follows] / np.diff(time)[follows]
     if "belt_m_s" in table.numbers and not table.numbers["belt_m_s"][contact].any():
         found.append(f"{table.path.name}, column belt_m_s: 0 in every row in contact; a belt that stands grinds nothing")
-    if "feed_mm_s" in table.numbers and len(moving) and np.median(moving) > CREEP:
+    ways = [float(np.linalg.norm(np.ptp(p[contact & (run == i)], axis=0))) for i in np.unique(run[contact])]
+    if "feed_mm_s" in table.numbers and len(moving) and (np.median(moving) > CREEP or np.median(ways) > LEAST_WAY):
         feed, path = float(np.median(table.numbers["feed_mm_s"][contact])), 1e3 * float(np.median(moving))
-        if not 1 / FEED_APART < feed / path < FEED_APART:
+        if feed > OTHER_TIME * path > 0:
+            raise table.refuse(
+                int(np.argmax(contact)),
+                "time_s",
+                f"makes the points move at {path:.3g} mm/s (median) where feed_mm_s says {feed:.3g}; give seconds",
+            )
+        if path > 0 and not 1 / FEED_APART < feed / path < FEED_APART:
             found.append(
                 f"{table.path.name}, column feed_mm_s: {feed:.3g} in contact (median) while the points move at {path:.3g} mm/s "
                 "by time_s; give the feed in mm/s and the time in s, or leave the column out"
@@ -339,10 +361,17 @@ def _check_running(table: CsvTable, column: str, parts: list[Index]) -> None:
 
 
 def _check_copies(table: CsvTable, fn: Array, run: Index, runs: tuple[str, ...]) -> None:
-    """Raises BadInput: a recording of more than COPIED rows that has the same postures and forces as another; run (n,): -1 for
-    rows in the air, where a sensor may well read the same."""
+    """Raises BadInput: more than COPIED rows that are others of their recording again, a recording of more than COPIED rows that
+    has the same postures and forces as another; run (n,): -1 for rows in the air, where a sensor may well read the same."""
     seen: dict[bytes, int] = {}
     q = table.stack(AXES)
+    rows = np.column_stack([run, *table.numbers.values()])[run >= 0]
+    _, at_first, group = np.unique(rows, axis=0, return_index=True, return_inverse=True)
+    sources = at_first[group.ravel()]
+    again = np.flatnonzero(sources != np.arange(len(rows)))
+    if len(again) > COPIED:
+        copy, source = np.flatnonzero(run >= 0)[[again[0], sources[again[0]]]]
+        raise table.refuse(int(copy), "time_s", f"repeats line {table.line[source]}, as {len(again)} rows do; remove the copies")
     for i in range(len(runs)):
         at = np.flatnonzero(run == i)
         first = seen.setdefault(np.column_stack([q[at], fn[at]]).tobytes(), i) if len(at) > COPIED else i

@@ -14,9 +14,12 @@ from ocp.model.cell import Cell
 from robots.calibration.carried import carried_over
 from robots.calibration.parameters import MDH_NAMES
 from robots.calibration.store import Calibration
+from robots.errors import Infeasible
 from robots.pose import Array
 
 SIGMAS = 5.0  # an innovation beyond this many is told to the user
+
+RUNS_APART = 0.1  # of the force asked for; 0.05 mm of an arm on a flange of 6 N/mm are 0.3 N
 
 
 @dataclass(frozen=True)
@@ -110,9 +113,22 @@ def fit_force(cell: Cell, log: ForceLog, robot: Calibration | None = None, setup
     prior = force_prior(cell, robot)
     solution = solve_force_log(setup.model, rows, log, prior)
     figures = _figures(solution, log)
+    _refuse_other_force(cell, log, figures)
     known = () if calibration is None else calibration.names
     notices = (*log.notices, *setup.notices, *_notices(cell, log, solution, figures, calibration))
     return ForceFit(log, setup, solution, figures, held_out_blocks(solution, log, rows), not_identified(solution), notices, known)
+
+
+def _refuse_other_force(cell: Cell, log: ForceLog, figures: ForceFigures) -> None:
+    """Raises Infeasible: on a force flange, runs that differ by more than its springs and an arm's repeatability can make."""
+    if cell.flange is None:
+        return
+    asked = cell.flange.setpoint if log.setpoint is None else float(np.median(log.setpoint[log.contact]))
+    if asked > 0 and figures.run_offset > RUNS_APART * asked:
+        raise Infeasible(
+            f"{log.path}: runs differ by {figures.run_offset:.3g} N (one standard deviation) where {asked:.3g} N were asked for, "
+            "which no flange cell does; compare fn_N with setpoint_N: both in newtons, of the same runs, of this cell"
+        )
 
 
 def _figures(solution: ForceSolution, log: ForceLog) -> ForceFigures:

@@ -130,6 +130,8 @@ def _read(text: str, key: Key, value: str) -> Value:
     most = UNUSUAL * max(abs(key.low), abs(key.high), abs(key.default or 0.0))
     if max(map(abs, numbers)) > most:
         raise BadInput(f"effect '{text}': {key.name} = '{shown(value)}' is beyond {most:g}; is it in SI units?")
+    if min(numbers) < 0 < key.low and not key.signed:
+        raise BadInput(f"effect '{text}': {key.name} = '{value}' is negative, which it never is; correct it")
     if len(numbers) != key.length:
         form = "/".join(["1e-4", "0", "0"][: key.length])
         raise BadInput(
