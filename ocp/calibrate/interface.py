@@ -5,7 +5,7 @@ from pathlib import Path
 
 from ocp.calibrate.files import CalibrationResult, tracker_calibration, write_tracker_calibration
 from ocp.calibrate.force.log import ForceLog, read_force_log, refuse_force_unit, without_ramps
-from ocp.calibrate.force.registration import fit_force
+from ocp.calibrate.force.registration import fit_force, refuse_other_force
 from ocp.calibrate.report.pages import contact_sections
 from ocp.calibrate.tracker import TrackerCalibration, calibrate_tracker
 from ocp.model.cell import Cell, files_of, read_cell, with_calibration
@@ -78,6 +78,7 @@ def _calibrated(
             # Registered by the arm as it will be planned with, which bends where the readings say.
             bending = replace(with_calibration(ground[0], calibration), calibration=None)
             fit = fit_force(bending, without_ramps(ground[1]), calibration)
+            refuse_other_force(bending, fit)
         calibration, extra = fit.calibration(calibration), contact_sections(fit)
     return write_tracker_calibration(made, calibration, extra, output, phases, inputs)
 

@@ -15,7 +15,7 @@ from ocp.calibrate.force.blade import points_on_surface
 from ocp.calibrate.force.fit import BIAS, FIT_NAMES, covariance_left, force_prior, reading_jacobian, reading_of, solve_force_log
 from ocp.calibrate.force.log import ForceLog, read_force_log
 from ocp.calibrate.force.model import STATE, ForceModel, ForceRows, PlacedRows
-from ocp.calibrate.force.registration import ForceFit, fit_force
+from ocp.calibrate.force.registration import ForceFit, fit_force, refuse_other_force
 from ocp.calibrate.force.rows import ForceSetup, measured_blade, prepare_force
 from ocp.calibrate.report.pages import contact_sections
 from ocp.data import CELL
@@ -27,7 +27,7 @@ from ocp.report.plotting import WIDTH, Canvas
 from ocp.shell import native
 from ocp.shell.cache import flattened
 from robots.calibration.store import Calibration, read_calibration, write_calibration
-from robots.errors import BadInput
+from robots.errors import BadInput, Infeasible
 from tests.support.force_world import HEADER, Run, World, arm_posterior, campaign, correlated, make_world, write_log
 from trajectories.blade import find_shape, read_blade
 
@@ -261,6 +261,17 @@ def test_runs_that_differ_make_the_fit_less_sure(recorded):
     fit = tampered(recorded, recorded.log.fn + steps)
     assert fit.figures.run_offset > 0.3 and any("runs differ by" in notice for notice in fit.notices)
     assert predict(fit, recorded.setup.rows[1])[1].mean() > 3 * predict(recorded.fit, recorded.setup.rows[1])[1].mean()
+
+
+def test_runs_that_no_flange_cell_has_are_refused(recorded):
+    """Twice the force, as in pounds or of another process, is met by nothing that a flange cell may be off by."""
+    cell = recorded.setup.model.cell
+    refuse_other_force(cell, recorded.fit)
+    wild = np.array([0.0, 3.5, -3.0, 3.0, -3.5, 0.0])[recorded.log.run]
+    fit = tampered(recorded, recorded.log.fn + wild)
+    with pytest.raises(Infeasible, match="where 20 N were asked for, which no flange cell does"):
+        refuse_other_force(cell, fit)
+    refuse_other_force(replace(cell, flange=None), fit)
 
 
 def test_intervals_cover(recorded):

@@ -1,8 +1,11 @@
 """`python -m ocp.update` as a user meets it: what it writes, that other commands read it, what it refuses."""
 
 import csv
+import hashlib
+import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -128,6 +131,15 @@ def test_a_log_is_used_once(done):
     assert lines != (done.folder / "next.csv").read_bytes()
     with pytest.raises(BadInput, match="an earlier update used this log already"):
         update(done.folder / "unix.csv", cell=done.folder / "second" / "cell.toml", out=done.folder / "third")
+    # A calibration says by what files it was made.
+    other, known = done.folder / "other.csv", done.folder / "known"
+    other.write_bytes(lines.replace(b"20.", b"19."))
+    shutil.copytree(done.folder / "second", known)
+    calibration = read_calibration(known / "calibration.toml")
+    told = calibration.provenance | {"data_sha256": {"force.csv": hashlib.sha256(other.read_bytes()).hexdigest()}}
+    write_calibration(known / "calibration.toml", replace(calibration, provenance=told))
+    with pytest.raises(BadInput, match="the cell was calibrated with this log"):
+        update(other, cell=known / "cell.toml", out=done.folder / "third")
     assert not (done.folder / "third").exists()
 
 

@@ -113,21 +113,21 @@ def fit_force(cell: Cell, log: ForceLog, robot: Calibration | None = None, setup
     prior = force_prior(cell, robot)
     solution = solve_force_log(setup.model, rows, log, prior)
     figures = _figures(solution, log)
-    _refuse_other_force(cell, log, figures)
     known = () if calibration is None else calibration.names
     notices = (*log.notices, *setup.notices, *_notices(cell, log, solution, figures, calibration))
     return ForceFit(log, setup, solution, figures, held_out_blocks(solution, log, rows), not_identified(solution), notices, known)
 
 
-def _refuse_other_force(cell: Cell, log: ForceLog, figures: ForceFigures) -> None:
+def refuse_other_force(cell: Cell, fit: ForceFit) -> None:
     """Raises Infeasible: on a force flange, runs that differ by more than its springs and an arm's repeatability can make."""
     if cell.flange is None:
         return
+    log, differ = fit.log, fit.figures.run_offset
     asked = cell.flange.setpoint if log.setpoint is None else float(np.median(log.setpoint[log.contact]))
-    if asked > 0 and figures.run_offset > RUNS_APART * asked:
+    if asked > 0 and differ > RUNS_APART * asked:
         raise Infeasible(
-            f"{log.path}: runs differ by {figures.run_offset:.3g} N (one standard deviation) where {asked:.3g} N were asked for, "
-            "which no flange cell does; compare fn_N with setpoint_N: both in newtons, of the same runs, of this cell"
+            f"{log.path}: runs differ by {differ:.3g} N (one standard deviation) where {asked:.3g} N were asked for, which no "
+            "flange cell does; compare fn_N with setpoint_N: both in newtons, of the same runs, of this cell"
         )
 
 
