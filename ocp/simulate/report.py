@@ -82,10 +82,12 @@ def rehearsal_headline(rehearsal: Rehearsal, whole: WholePasses, machine: str) -
     it was run on, in words."""
     f = rehearsal.figures
     good = f["within_1_N"] >= GOOD
+    low, high = float(rehearsal.goal.min()), float(rehearsal.goal.max())
+    planned = f"{f['goal_N']:.3g} N" if high - low < WITHIN else f"{low:.3g} to {high:.3g} N"
     sentence = (
         f"On {machine} the force would be {f['mean_N']:.2f} N on average with a standard deviation of {f['sd_N']:.2f} N, from "
-        f"{f['min_N']:.1f} to {f['max_N']:.1f} N, where {f['goal_N']:.3g} N were planned; "
-        f"{int(100 * f['within_1_N'])} % of the time within 1 N."
+        f"{f['min_N']:.1f} to {f['max_N']:.1f} N, where {planned} were planned; "
+        f"{int(100 * f['within_1_N'])} % of the time within 1 N of that."
     )
     if f["lost"] > 0:
         sentence += f" For {100 * f['lost']:.1f} % of the time the blade does not touch the wheel."
