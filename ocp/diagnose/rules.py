@@ -452,8 +452,12 @@ quarter more is another process."""
 
 NO_BACKGROUND = 0.05
 """[-] Prior probability that a machine has no play at all that lasts, and no ripple. Guards: what a corrected model is promised
-to leave; ripples that other gears do not show. Reason: every gear has ripple (PHYSICS 6, Masses) and a little play (DIAGNOSIS,
-Second method), of some too little to be told from none: one in twenty."""
+to leave. Reason: every gear has ripple (PHYSICS 6, Masses) and a little play (DIAGNOSIS, Second method), of some too little to be
+told from none: one in twenty."""
+
+NO_OTHER_RIPPLE = 0.25
+"""[-] The same where a name is at stake. Guards: ripples that other gears do not show, which as background would have no name.
+Reason: none is known; at 0.05 a ripple of lambda 140 (other_hand_18) is background."""
 
 BACKGROUND_SIZES = np.array([0.0, 1e-6, 2.5e-6, 5e-6, 9e-6, 1.5e-5])
 """[rad] Play and ripple that are looked for in what a fit leaves, evenly likely: each stands for what lies nearest; for a name

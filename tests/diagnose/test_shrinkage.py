@@ -16,7 +16,7 @@ from ocp.diagnose.engine.findings import Alternative, Diagnosis, Explanation, Na
 from ocp.diagnose.engine.linearisation import linearised
 from ocp.diagnose.engine.pool import Member, make_pool
 from ocp.diagnose.foresee.anticipated import anticipated, signal_gap
-from ocp.diagnose.rules import BACKGROUND_SIZES, NO_BACKGROUND
+from ocp.diagnose.rules import BACKGROUND_SIZES, NO_BACKGROUND, NO_OTHER_RIPPLE
 from ocp.diagnose.tracker.background import DRAWS, _line, _Waves, _weights, _with_further, background
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.diagnose.tracker.refit import _width_of_weights, usual_noise
@@ -279,8 +279,8 @@ def test_where_a_name_is_at_stake_large_ripple_is_no_likelier_before_any_reading
     c = channel(world(40, n=40)[0])
     monkeypatch.setattr("ocp.diagnose.tracker.background._evidence", lambda *told: np.zeros((len(BACKGROUND_SIZES) - 1, 6)))
     _, others = c.ripples
-    np.testing.assert_allclose(others[:, 0], NO_BACKGROUND)
-    np.testing.assert_allclose(others[:, 1:], (1.0 - NO_BACKGROUND) / (len(BACKGROUND_SIZES) - 1))
+    np.testing.assert_allclose(others[:, 0], NO_OTHER_RIPPLE)
+    np.testing.assert_allclose(others[:, 1:], (1.0 - NO_OTHER_RIPPLE) / (len(BACKGROUND_SIZES) - 1))
 
 
 PLANTED = {

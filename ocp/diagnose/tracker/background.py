@@ -16,7 +16,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from ocp.diagnose.engine.evidence import Projection, project
-from ocp.diagnose.rules import BACKGROUND_SIZES, FURTHER_LINES, NO_BACKGROUND
+from ocp.diagnose.rules import BACKGROUND_SIZES, FURTHER_LINES, NO_BACKGROUND, NO_OTHER_RIPPLE
 from ocp.diagnose.tracker.refit import Task, TrackerFit, is_restless, usual_noise
 from robots.pose import Array
 from robots.tracker_readings import Index
@@ -83,7 +83,8 @@ def _weights(log: Array, even: bool = True) -> Array:
     """Posterior (s,) of the population's size from log evidences over size zero; even: as much of an even density as each stands
     for, else all of them alike."""
     each = np.gradient(BACKGROUND_SIZES)[1:] if even else np.ones(len(BACKGROUND_SIZES) - 1)
-    prior = np.append(NO_BACKGROUND, (1.0 - NO_BACKGROUND) * each / each.sum())
+    none = NO_BACKGROUND if even else NO_OTHER_RIPPLE
+    prior = np.append(none, (1.0 - none) * each / each.sum())
     log = log + np.log(prior)
     return np.asarray(np.exp(log - logsumexp(log)))
 
