@@ -13,7 +13,7 @@ def main(out: Path, poses: int = 60) -> DiagnosisResult:
     found = result.answer.diagnosis
     for one in found.ranking[:3]:
         print(f"{one.name}: probability {one.probability:.2f}, {one.active.parameters}")
-    print(f"nothing at all: {found.p_none:.2f}; something outside the catalogue: {found.p_unknown:.2f}")
+    print(f"no name: {found.p_none:.2f}; something outside the catalogue: {found.p_unknown:.2f}")
     for gap in result.answer.gaps:
         if gap.shrinkage is not None:
             print(f"{gap.name}: expected to shrink by {100 * gap.shrinkage.predicted:.0f} % {gap.there}")

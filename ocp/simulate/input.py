@@ -61,7 +61,7 @@ def check_numbers(wanted: AskedRun) -> None:
     limits = [("--seed", wanted.seed, 0, 2**32), ("--size", wanted.size, 0.0, 5.0), ("--hz", wanted.hz, 20.0, 2000.0)]
     for name, value, low, high in (*limits, ("--clock", wanted.clock, 0.0, 1e7)):
         if not low <= value <= high:
-            raise BadInput(f"{name} {value:g} must lie between {low:g} and {high:g}")
+            raise BadInput(f"{name} {value:g} must lie between {low:g} and {high:.10g}")
     if wanted.machine != "drawn" and wanted.size != 1.0:
         raise BadInput(
             f"--size {wanted.size:g}: is of the errors of a drawn machine, --machine {wanted.machine} has none; leave it out"

@@ -70,7 +70,7 @@ def explanations_table(answer: Answer) -> Table:
     rows = [
         (effects_words(e.names), f"{e.probability:.4f}", f"{e.log_evidence:+.1f}") for e in answer.diagnosis.explanations[:12]
     ]
-    rows += [("nothing at all", f"{answer.diagnosis.p_none:.4f}", "0.0")]
+    rows += [("no name of the catalogue", f"{answer.diagnosis.p_none:.4f}", "0.0")]
     rows += [("something outside the catalogue", f"{answer.diagnosis.p_unknown:.4f}", "")]
     return table(("explanation", "probability", "log evidence over none"), rows, title="Explanations as a whole")
 

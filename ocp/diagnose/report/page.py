@@ -61,7 +61,7 @@ def _explained(answer: Answer) -> list[tuple[str, float]]:
 def _draw_probabilities(canvas: Canvas, answer: Answer) -> None:
     d = answer.diagnosis
     left, right = canvas.subplots(1, 2, left=2.35, across=1.75, right=0.4)
-    rows = [*_explained(answer), ("nothing at all", d.p_none), ("none of these", d.p_unknown)]
+    rows = [*_explained(answer), ("no name of the catalogue", d.p_none), ("none of these", d.p_unknown)]
     _bars(left, rows, "explanation", 46)
     _bars(right, [(str(r.name).replace("_", " "), r.probability) for r in d.ranking[:MOST_NAMED]], "effect", 26)
 

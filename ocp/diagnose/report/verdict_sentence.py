@@ -254,7 +254,7 @@ def _with(at: Location | None) -> str:
 def _how_sure(answer: Answer) -> str:
     d = answer.diagnosis
     parts = [f"{percent(e.probability)} {effects_words(e.names)}" for e in d.explanations[:3] if e.probability > 0.005]
-    parts += [f"{percent(d.p_none)} nothing at all", f"{percent(d.p_unknown)} something outside the catalogue"]
+    parts += [f"{percent(d.p_none)} no name of the catalogue", f"{percent(d.p_unknown)} something outside the catalogue"]
     accepted = {Name(*a.key) for a in d.active}
     together = [" = ".join(effect_words(n) for n in group) for group in d.classes if accepted & set(group)]
     return "; ".join(parts) + (f". These data cannot tell apart: {'; '.join(together)}" if together else "")
