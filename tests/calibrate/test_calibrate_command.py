@@ -2,10 +2,12 @@
 
 import csv
 import re
+import shutil
 import subprocess
 import sys
 import tomllib
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -120,6 +122,16 @@ def refused(folder: Path, *arguments: str) -> str:
     assert told.code == 2 and told.out == "" and tree(folder) == before, told
     assert told.err.count("\n") == 1 and told.err.startswith("refused: "), told.err
     return told.err
+
+
+def test_a_log_of_another_force_calibrates_nothing(shared_data, tmp_path, monkeypatch):
+    for name in ("cell.toml", "blade.stl", "tracker.csv", "force.csv"):
+        shutil.copy(shared_data / "worlds" / "force_no_effect" / name, tmp_path)
+    apart = SimpleNamespace(run_offset=4.3)  # as twice the force leaves it (test_force_fit.py)
+    monkeypatch.setattr("ocp.calibrate.interface.fit_force", lambda cell, log, robot: SimpleNamespace(log=log, figures=apart))
+    before = tree(tmp_path)
+    told = run(tmp_path, "tracker.csv", "--cell", "cell.toml", "--force", "force.csv")
+    assert told.code == 1 and "which no flange cell does" in told.err and tree(tmp_path) == before, told
 
 
 def test_bad_input_is_one_sentence_and_nothing_is_written(tmp_path):

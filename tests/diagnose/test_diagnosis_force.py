@@ -514,6 +514,12 @@ def test_a_force_patch_is_its_kernel(made):
     assert held >= {"travel x s", "setpoint x s", "feed x s", "clock x s"}
     assert of_reading("q6", 0, channel.conditions) == [f"wave {k} q6" for k in (1, 2, 3, 4)]
     assert not held & {"run", "time", "turn", "time wave", "clock wave", "belt x time"}
+    # A further one is of the force or the reading as those are that are there.
+    for own in (0, 1):
+        there = as_patch(Name("?force/s/reading", 0), own, 1.0, channel)
+        beside = channel.with_active((there,))
+        further = [as_patch(Name("?force/setpoint/reading", 0), variant, 1.0, beside) for variant in (0, 1)]
+        assert [one.scanned["source"] for one in further] == 2 * [("force", "sensor")[own]]
 
 
 def _clinging(c):
