@@ -51,6 +51,11 @@ class Kernel:
     among: int = 0
 
 
+def is_periodic(where: str) -> bool:
+    """Whether a kernel is of waves or periods, of which the most telling are taken."""
+    return "wave" in where or "period" in where
+
+
 def kernels(c: ReadingConditions) -> Iterator[Kernel]:
     """All kernels that the conditions allow."""
     if c.d_joints is not None:

@@ -115,7 +115,7 @@ def diagnosis_headline(answer: Answer) -> Headline:
 
 
 def told_as(d: Diagnosis) -> str:
-    """The verdict in words' sense: a part that no name is accepted for is not explained."""
+    """The verdict as it is told: "partly" with no accepted name explains no part."""
     return "unexplained" if d.verdict == "partly" and not d.active else d.verdict
 
 

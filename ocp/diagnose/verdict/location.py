@@ -17,6 +17,7 @@ import numpy as np
 from scipy.special import fdtrc
 
 from ocp.diagnose.engine.findings import BudgetLine, KernelTest, Location, Name, SpectrumPeak
+from ocp.diagnose.engine.kernels import is_periodic
 from ocp.diagnose.engine.linearisation import Linearisation
 from ocp.diagnose.engine.pool import Given
 from ocp.diagnose.rules import BUDGET_SD, LEAST_TURN, PLACE_SURE, SEEN_DIRECTION, SHARE_PER_FEATURE
@@ -40,7 +41,7 @@ def of_effect(problem: Linearisation, effect: Effect, joint: int, signature: Arr
     size = float(signature @ signature)
     for family in problem.pool.families:
         elsewhere = family.name.joint != joint and family.name.joint and joint
-        if not family.where or elsewhere or any(word in family.where for word in (" x q", "ripple", "wave", "period")):
+        if not family.where or elsewhere or is_periodic(family.where) or any(word in family.where for word in (" x q", "ripple")):
             continue
         basis = orthonormal(family.columns[:, 0])
         share = float(np.sum((basis.T @ signature) ** 2)) / max(size, 1e-12) - SHARE_PER_FEATURE * basis.shape[1]
@@ -85,7 +86,7 @@ def kernel_tests(problem: Linearisation, there: Given) -> list[KernelTest]:
     total, freedom = float(y @ y), problem.pool.freedom
     found = []
     for family in problem.pool.families:
-        if not family.where or any(word in family.where for word in ("ripple", "wave", "period")):
+        if not family.where or "ripple" in family.where or is_periodic(family.where):
             continue
         basis = orthonormal(there.after(family.columns.reshape(len(y), -1)))
         m = basis.shape[1]

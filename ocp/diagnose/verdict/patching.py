@@ -16,7 +16,7 @@ from ocp.diagnose.engine.beam import Search
 from ocp.diagnose.engine.channel_system import Channel, Patchable, ReadingConditions
 from ocp.diagnose.engine.evidence import stack
 from ocp.diagnose.engine.findings import Alternative, Name, Options
-from ocp.diagnose.engine.kernels import LOADED, MOTOR_WAVES, ORDERS_OF_TWO, RIPPLES, SMOOTH
+from ocp.diagnose.engine.kernels import LOADED, MOTOR_WAVES, ORDERS_OF_TWO, RIPPLES, SMOOTH, is_periodic
 from ocp.diagnose.engine.linearisation import Linearisation, kernel_families
 from ocp.diagnose.engine.pool import given, make_pool, scan
 from ocp.effects.context import SETTLING
@@ -160,8 +160,7 @@ def as_patch(name: Name, variant: int, size: float, channel: Channel) -> Active 
     middle = 0.0
     if source == "reading":
         there = [a.scanned["source"] for a in channel.active if is_patch(a.effect)]
-        picked = "wave" in where or "period" in where  # which come in one form
-        alone = "sensor" in there if there else variant == 1 and c.pressed is not None and not picked
+        alone = "sensor" in there if there else variant == 1 and c.pressed is not None and not is_periodic(where)
         features, source = of_reading(where, variant, c), "sensor" if alone else "force"
     elif source == "joint":
         features = of_joint(where, name.joint, variant, c)
