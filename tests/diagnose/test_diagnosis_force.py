@@ -269,12 +269,12 @@ def test_fast_patterns_are_kept_where_averages_lose_them(made):
     fast = effect_derivatives(*about, EFFECTS["wheel_runout"], 0, [scanned])
     length = sum(float(np.sum(w.whole(c[0]) ** 2)) for w, c in zip(whiteners, fast, strict=True))
     assert sum(float(np.sum(w.short(c[0]) ** 2)) for w, c in zip(whiteners, fast, strict=True)) < 0.5 * length
-    kept = channel.variants(EFFECTS["wheel_runout"], 0, [scanned])[0].columns
+    kept = channel.variants(EFFECTS["wheel_runout"], 0, [scanned])[1]
     assert np.sum(kept**2) == pytest.approx(length, rel=1e-3)
     # A slow effect loses nearly nothing.
     slow = effect_derivatives(*about, EFFECTS["wheel_wear"], 0, [{}])
     full = sum(float(np.sum(w.whole(c[0]) ** 2)) for w, c in zip(whiteners, slow, strict=True))
-    assert np.sum(channel.variants(EFFECTS["wheel_wear"], 0, [{}])[0].columns ** 2) == pytest.approx(full, rel=0.03)
+    assert np.sum(channel.variants(EFFECTS["wheel_wear"], 0, [{}])[1] ** 2) == pytest.approx(full, rel=0.03)
 
 
 @pytest.mark.parametrize(
@@ -287,7 +287,7 @@ def test_what_acts_by_the_force_alone_has_the_rows_of_both_readings(made, name, 
     scans = channel.scan(effect, joint)[:5]
     both = effect_derivatives(*about, channel.fit.slopes, effect, joint, scans)
     wanted = channel.averages.variants(effect, scans, both[: len(channel.fit.whiteners)])
-    found = np.stack([v.columns for v in channel.variants(effect, joint, scans)], axis=1)
+    found = channel.variants(effect, joint, scans)[1]
     assert np.abs(wanted).max() > 0
     np.testing.assert_allclose(found, wanted, rtol=1e-10, atol=1e-10 * np.abs(wanted).max())
 
@@ -367,7 +367,7 @@ def test_missing_columns_blind_and_say_so(made):
     assert "clock_s" in channel.blind(EFFECTS["sensor_drift"])
     assert "wheel_temperature_C" in channel.blind(EFFECTS["wheel_temperature"])
     assert channel.blind(EFFECTS["tracker_scale"]) and not channel.blind(EFFECTS["wheel_wear"])
-    assert not channel.variants(EFFECTS["material_removal"], 0) and channel.variants(EFFECTS["wheel_wear"], 0)
+    assert not channel.variants(EFFECTS["material_removal"], 0)[0] and channel.variants(EFFECTS["wheel_wear"], 0)[0]
     assert len(channel.fit.whiteners) == 1 and channel.conditions.clock is None
     assert {f.kind for f in channel.folds()} >= {"random", "block", "run", "line", "setpoint", "feed", "belt", "travel"}
 
@@ -472,7 +472,7 @@ def test_a_rigid_cell_is_a_channel_too(made):
     problem = ForceProblem.of(log, scene, believed)
     channel = ForceChannel(problem, fit_effects(problem), (EFFECTS["sensor_bias"],))
     assert channel.blind(EFFECTS["flange_stiffness"])
-    assert np.abs(channel.variants(EFFECTS["belt_tension"], 0)[0].columns).max() > 0
+    assert np.abs(channel.variants(EFFECTS["belt_tension"], 0)[1]).max() > 0
     found = channel.with_active((_active("sensor_bias"),)).active[0]
     assert abs(found.a[0] - 0.6) < 4 * np.sqrt(found.covariance[0, 0]) + 0.02 < 0.2
     assert truth.stiffness[scene.touching].min() > 1.5e4  # N/m: a wheel without a flange

@@ -434,7 +434,7 @@ def test_what_the_nuisance_leaves_of_a_signature():
     A = s.nuisance * np.where(known, s.prior_sd, 1e6 / np.maximum(np.linalg.norm(s.nuisance, axis=0), 1e-12))
     covariance = np.eye(len(A)) + A @ A.T
     for name in (Name("encoder_scale", 3), Name("backlash", 5)):
-        C = c.variants(library[name.effect], name.joint)[0].columns[:, 0]
+        C = c.variants(library[name.effect], name.joint)[1][:, 0, 0]
         assert left[name] == pytest.approx(C @ np.linalg.solve(covariance, C) / (C @ C), rel=1e-3)
     assert left[Name("backlash", 5)] > 0.8 > 0.5 > left[Name("encoder_scale", 3)]
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ocp.diagnose.engine.channel_system import Fold, HeldOut, ReadingConditions, Sealed, System, Variant
+from ocp.diagnose.engine.channel_system import UNSEEN, Fold, HeldOut, ReadingConditions, Sealed, System
 from ocp.effects.effect import Active, Effect, Parameter, Surroundings
 
 
@@ -72,11 +72,11 @@ class LinearChannel:
     def variants(self, e, joint, scans=None):
         """Columns as given."""
         if (e.name, joint) not in self.columns:
-            return []
+            return UNSEEN
         every = list(e.scan(joint, self.surroundings))
         chosen = every if scans is None else list(scans)
         made = self.columns[(e.name, joint)]
-        return [Variant(e.name, joint, s, made[every.index(s)], np.asarray(e.prior_sd)) for s in chosen]
+        return tuple(chosen), np.stack([made[every.index(s)] for s in chosen], axis=1)
 
     def with_active(self, active):
         """Linear: the values given are as good as refitted ones."""

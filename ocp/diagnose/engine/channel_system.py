@@ -102,21 +102,10 @@ class System:
     tailed: bool = False
 
 
-@dataclass(frozen=True)
-class Variant:
-    """An effect at one joint (0: none) with one set of scanned values: whitened columns (N, m) per unit coefficient of the
-    prediction (a positive coefficient raises what is predicted), prior_sd (m,) of the coefficients."""
-
-    effect: str
-    joint: int
-    scanned: Scanned
-    columns: Array
-    prior_sd: Array
-
-    @property
-    def key(self) -> tuple[Any, ...]:
-        """What makes it the same variant in several channels."""
-        return (self.effect, self.joint, *scan_key(self.scanned))
+Variants = tuple[tuple[Scanned, ...], Array]
+"""Of an effect at one joint (0: none): scanned values of V variants, whitened columns (N, V, m) per unit coefficient of the
+prediction (a positive coefficient raises what is predicted)."""
+UNSEEN: Variants = (), np.zeros((0, 0, 0))
 
 
 def needs_motion(reason: str) -> bool:
@@ -187,7 +176,24 @@ class Sealed:
     beyond: tuple[str, ...] = ()
 
 
-class Channel(Protocol):
+class ReadingRows(Protocol):
+    """Rows, taken or planned, about a fit."""
+
+    @property
+    def system(self) -> System:
+        """Whitened about the current fit."""
+
+    def variants(self, effect: Effect, joint: int, scans: Sequence[Scanned] | None = None) -> Variants:
+        """About the current fit; `UNSEEN` where these rows cannot show the effect. `scans`: these scanned values in this order
+        instead of the effect's own scan of the channel's surroundings."""
+
+
+def shows(seen: ReadingRows, one: Active) -> bool:
+    """Whether rows can show an effect."""
+    return len(seen.variants(one.effect, one.joint, [one.scanned])[0]) > 0
+
+
+class Channel(ReadingRows, Protocol):
     """One signal of a data set, fitted."""
 
     @property
@@ -203,10 +209,6 @@ class Channel(Protocol):
         """Of its readings."""
 
     @property
-    def system(self) -> System:
-        """Whitened about the current fit."""
-
-    @property
     def active(self) -> tuple[Active, ...]:
         """Effects in its nonlinear prediction, with fitted values and covariance."""
 
@@ -220,10 +222,6 @@ class Channel(Protocol):
 
     def blind(self, effect: Effect) -> str:
         """Why the channel cannot see an effect (a missing column), a sentence; empty where it can."""
-
-    def variants(self, effect: Effect, joint: int, scans: Sequence[Scanned] | None = None) -> list[Variant]:
-        """About the current fit; empty where the channel cannot see the effect. `scans`: these scanned values in this order
-        instead of the effect's own scan of the channel's surroundings."""
 
     def with_active(self, active: tuple[Active, ...]) -> "Channel":
         """Nuisance and coefficients refitted jointly, nonlinearly, noise re-estimated; values given are where to start."""

@@ -8,7 +8,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 
 from ocp.diagnose.engine.beam import Key, Weighed
-from ocp.diagnose.engine.channel_system import Channel
+from ocp.diagnose.engine.channel_system import Channel, ReadingRows
 from ocp.diagnose.engine.evidence import SIZES, Rival, Stack, coefficients_given, size_grid, stack
 from ocp.diagnose.engine.findings import Name, Options
 from ocp.diagnose.engine.kernels import Kernel, kernels
@@ -179,24 +179,21 @@ def positive_of(effect: Effect) -> Array:
 
 
 def stacked_columns(
-    channels: Sequence[Channel], effect: Effect, joint: int, scans: Sequence[Scanned] | None
+    channels: Sequence[ReadingRows], effect: Effect, joint: int, scans: Sequence[Scanned] | None
 ) -> tuple[Array, tuple[Scanned, ...]]:
     """Whitened columns (N, V, m) of all channels one below the other, and the scanned values of each variant; zero where a
     channel cannot see the effect. Without `scans` the union of the channels' own."""
     if scans is None and len(channels) > 1:
-        scans = list({scan_key(v.scanned): v.scanned for c in channels for v in c.variants(effect, joint)}.values())
+        scans = list({scan_key(s): s for c in channels for s in c.variants(effect, joint)[0]}.values())
     parts = [c.variants(effect, joint, scans) for c in channels]
-    chosen = tuple(scans) if scans is not None else tuple(v.scanned for v in parts[0])
-    if not chosen or not any(parts):
+    chosen = tuple(scans) if scans is not None else parts[0][0]
+    if not any(found for found, _ in parts):
         return np.zeros((0, 0, effect.size)), ()
-    rows = [
-        np.stack([v.columns for v in made], axis=1) if made else np.zeros((len(c.system.residual), len(chosen), effect.size))
-        for c, made in zip(channels, parts, strict=True)
-    ]
-    return np.concatenate(rows), chosen
+    none = [np.zeros((len(c.system.residual), len(chosen), effect.size)) for c in channels]
+    return np.concatenate([made if found else zero for (found, made), zero in zip(parts, none, strict=True)]), chosen
 
 
-def put_back(channels: Sequence[Channel], active: Sequence[Active]) -> Array:
+def put_back(channels: Sequence[ReadingRows], active: Sequence[Active]) -> Array:
     """What the active effects add to the whitened predictions (N,)."""
     total = np.zeros(sum(len(c.system.residual) for c in channels))
     for one in active:

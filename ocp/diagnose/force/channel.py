@@ -4,7 +4,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -13,12 +13,13 @@ from ocp.calibrate.force.log import Flags, ForceLog
 from ocp.calibrate.force.rows import ForceSetup, LogConditions, log_conditions, prepare_force
 from ocp.calibrate.force.whitener import Whitener
 from ocp.diagnose.engine.channel_system import (
+    UNSEEN,
     Fold,
     HeldOut,
     ReadingConditions,
     Sealed,
     System,
-    Variant,
+    Variants,
     Wave,
     effects_key,
     is_outlier,
@@ -165,35 +166,33 @@ class ForceChannel:
             return f"force.csv has no column {', '.join(NEEDED.get(c, c) for c in lacking)}: {effect.name} cannot be seen"
         return ""
 
-    def variants(self, effect: Effect, joint: int, scans: Sequence[Scanned] | None = None) -> list[Variant]:
+    def variants(self, effect: Effect, joint: int, scans: Sequence[Scanned] | None = None) -> Variants:
         """Whitened columns about the current fit."""
         if self.blind(effect):
-            return []
+            return UNSEEN
         chosen = self.scan(effect, joint) if scans is None else tuple(scans)
         # The engine asks for a scan and then, for all channels together, by name for what the scan had.
         asked = (effect.name, joint, *map(scan_key, chosen))
         if self.latest.get("asked") != asked:
             self.latest.update(asked=asked, found=self._variants(effect, joint, chosen))
-        return list(self.latest["found"])
+        return cast(Variants, self.latest["found"])
 
-    def _variants(self, effect: Effect, joint: int, chosen: Sequence[Scanned]) -> list[Variant]:
+    def _variants(self, effect: Effect, joint: int, chosen: tuple[Scanned, ...]) -> Variants:
         """As `variants`, evaluated."""
-        prior = np.asarray(effect.prior_sd, float)
-        found = list[Variant]()
+        found = list[Array]()
         for start in range(0, len(chosen), TOGETHER):
             some, about = chosen[start : start + TOGETHER], (self.problem.scene, self.fit.at)
             if acts_by_force(*about, effect):
                 force = force_changes(*about, self.fit.slopes, effect, joint, some)
                 if not np.isfinite(force).all():
-                    return []
-                rows = self.averages.by_force(effect, some, force)
+                    return UNSEEN
+                found.append(self.averages.by_force(effect, some, force))
             else:
                 made = effect_derivatives(*about, self.fit.slopes, effect, joint, some)
                 if made is None:
-                    return []
-                rows = self.averages.variants(effect, some, made[: len(self.averages.whiteners)])
-            found += [Variant(effect.name, joint, s, rows[:, v], prior) for v, s in enumerate(some)]
-        return found
+                    return UNSEEN
+                found.append(self.averages.variants(effect, some, made[: len(self.averages.whiteners)]))
+        return (chosen, np.concatenate(found, axis=1)) if found else UNSEEN
 
     def scan(self, effect: Effect, joint: int) -> tuple[Scanned, ...]:
         """The effect's own scan; orders of ripples that the log's short ranges cannot tell apart are thinned."""

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ocp.diagnose.engine.channel_system import Channel, HeldOut, effects_key
+from ocp.diagnose.engine.channel_system import Channel, HeldOut, effects_key, shows
 from ocp.diagnose.engine.findings import Alternative, Diagnosis
 from ocp.diagnose.engine.search import outliers
 from ocp.diagnose.foresee.planned_tracker import channel_about
@@ -66,7 +66,7 @@ def _shrinkage(
     diagnosis: Diagnosis, before: Channel, after: Channel, held: Sequence[HeldOut], square: float, sealed: Any
 ) -> tuple[Shrinkage | None, bool]:
     """What to expect, and whether under the conditions `sealed`; square: mean square of the gap before in the channel's unit."""
-    if not any(after.variants(a.effect, a.joint, [a.scanned]) for a in diagnosis.active):
+    if not any(shows(after, a) for a in diagnosis.active):
         # Nothing is named that this signal shows, so nothing changes.
         return (NONE if realised(square, 0.0, after.noise_floor**2) is not None else None), False
     of_arm = isinstance(after, TrackerChannel)
@@ -147,9 +147,11 @@ def counted(channel: Channel) -> NDArray[np.bool_]:
 
 def active_columns(channel: Channel) -> Array:
     """Whitened columns (N, m) of a channel's active effects, each over its prior's sd."""
-    seen = [v for one in channel.active for v in channel.variants(one.effect, one.joint, [one.scanned])]
-    parts = [v.columns * v.prior_sd for v in seen]
-    return np.hstack(parts) if parts else np.zeros((len(channel.system.residual), 0))
+    parts = [np.zeros((len(channel.system.residual), 0))]
+    for one in channel.active:
+        found, columns = channel.variants(one.effect, one.joint, [one.scanned])
+        parts += [columns[:, 0] * np.asarray(one.effect.prior_sd)] if found else []
+    return np.hstack(parts)
 
 
 def anticipated(

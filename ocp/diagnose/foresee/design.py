@@ -17,7 +17,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from ocp.calibrate.force.log import AXES, FEED, NORMAL, POINT, UNIT_TOLERANCE, ForceLog, Index, read_force_log
-from ocp.diagnose.engine.channel_system import Channel, needs_motion
+from ocp.diagnose.engine.channel_system import UNSEEN, Channel, needs_motion
 from ocp.diagnose.engine.evidence import project, size_grid, visible_lambda
 from ocp.diagnose.engine.findings import Options
 from ocp.diagnose.engine.linearisation import log_odds, positive_of, ratio_of, rival_of
@@ -148,8 +148,9 @@ def _shows(channel: Channel, effect: Effect) -> bool:
 def energy_of(channel: Channel, project_out: Callable[[Array], Array], effect: Effect, joint: int) -> float:
     """Detectability |M C|^2 / m of an effect at the usual upper end, the median of its variants."""
     picked = _picked(_scans(channel, effect, joint))
-    found = [project_out(v.columns * v.prior_sd) for v in (channel.variants(effect, joint, picked) if picked else [])]
-    return float(np.median([(columns**2).sum() for columns in found])) / effect.size if found else 0.0
+    found, columns = channel.variants(effect, joint, picked) if picked else UNSEEN
+    sizes = [(project_out(columns[:, v] * np.asarray(effect.prior_sd)) ** 2).sum() for v in range(len(found))]
+    return float(np.median(sizes)) / effect.size if found else 0.0
 
 
 def smallest_visible(channel: Channel, effect: Effect, joint: int, energies: Mapping[int, float], kinds: int) -> float:

@@ -14,18 +14,11 @@ import numpy as np
 from scipy.special import expit
 
 from ocp.diagnose import rules
-from ocp.diagnose.engine.channel_system import Channel
+from ocp.diagnose.engine.channel_system import Channel, ReadingRows, shows
 from ocp.diagnose.engine.findings import Diagnosis, Experiment, Name
+from ocp.diagnose.engine.linearisation import put_back
 from ocp.diagnose.foresee.planned_tracker import before_and_after, channel_about, planned_measurements
-from ocp.diagnose.foresee.separation import (
-    NOTHING,
-    ProposedMeasurement,
-    ReadingRows,
-    RivalPair,
-    pair_signature,
-    signature_or_none,
-    unlike,
-)
+from ocp.diagnose.foresee.separation import NOTHING, ProposedMeasurement, RivalPair, unlike
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.effects.effect import Effect
 
@@ -148,7 +141,7 @@ def rival_pairs(d: Diagnosis, library: dict[str, Effect]) -> list[RivalPair]:
 
 def _by_tracker(channel: TrackerChannel, pairs: Sequence[RivalPair], others: Sequence[ReadingRows]) -> list[Experiment]:
     joints = tuple(sorted({p.first.name.joint for p in pairs} | {p.joint for p in pairs} - {0}))[:4]
-    seen = [p for p in pairs if pair_signature(channel, p) is not None]
+    seen = [p for p in pairs if shows(channel, p.first.active)]
     if not seen:
         return []
     found = []
@@ -190,7 +183,7 @@ def _without_the_robot(channel: TrackerChannel, pair: RivalPair, now: float) -> 
     elif scale:
         gained = float((pair.first.active.a[0] / BAR_SD) ** 2)
     else:
-        start, end = np.split(signature_or_none(channel_about(channel, before_and_after(channel.readings)), pair), 2)
+        start, end = np.split(put_back([channel_about(channel, before_and_after(channel.readings))], [pair.first.active]), 2)
         gained = 0.5 * float(np.sum((end - start)[: 3 * FIXED] ** 2))
     return [_expected(BAR if scale else FLOOR, pair, gained)]
 
@@ -207,7 +200,7 @@ def _by_levers(channel: Channel, pairs: Sequence[RivalPair]) -> list[Experiment]
     for lever in BY_SIGNAL[channel.name]:
         for p in pairs:
             moved = [name.split(":")[0] in lever.moves.split() for name in p.names]
-            if (moved[0] != moved[1] or (p.rival is None and moved[0])) and pair_signature(channel, p) is not None:
+            if (moved[0] != moved[1] or (p.rival is None and moved[0])) and shows(channel, p.first.active):
                 gained = rules.EXPERIMENT_REPEATED * p.first.detectability
                 found.append(_expected(lever, p, gained))
     return found

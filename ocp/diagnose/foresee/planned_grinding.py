@@ -18,7 +18,7 @@ from ocp.calibrate.force.model import ForceRows
 from ocp.calibrate.force.noise import CorrelatedNoise, NoiseGroup, ReadingNoise, Runs
 from ocp.calibrate.force.rows import log_conditions, prepare_force
 from ocp.calibrate.force.whitener import Whitener
-from ocp.diagnose.engine.channel_system import System, Variant
+from ocp.diagnose.engine.channel_system import UNSEEN, System, Variants
 from ocp.diagnose.engine.evidence import Projection, project
 from ocp.diagnose.engine.findings import Diagnosis, Name, Options, Ranked
 from ocp.diagnose.engine.linearisation import log_odds
@@ -94,10 +94,11 @@ class Shared:
         n, p = columns.shape
         return System(np.zeros(n), columns, np.ones(p), np.zeros(p), reading=np.zeros(n, np.int64))
 
-    def variants(self, effect: Effect, joint: int, scans: Sequence[Scanned] | None = None) -> list[Variant]:
+    def variants(self, effect: Effect, joint: int, scans: Sequence[Scanned] | None = None) -> Variants:
         """As the channel's, in these rows."""
-        made = self.channel.variants(effect, joint, scans)
-        return [replace(v, columns=self._own.apply(v.columns)) for v in made]
+        found, columns = self.channel.variants(effect, joint, scans)
+        own = [self._own.apply(columns[:, v]) for v in range(len(found))]
+        return (found, np.stack(own, axis=1)) if found else UNSEEN
 
     def _rows(self, normal: Array, shear: Array) -> Array:
         averages = self.channel.averages

@@ -7,29 +7,18 @@ a the value found, M the projection of the nuisance on all rows together (docs/d
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
-from ocp.diagnose.engine.channel_system import System, Variant
+from ocp.diagnose.engine.channel_system import ReadingRows
 from ocp.diagnose.engine.evidence import project
 from ocp.diagnose.engine.findings import Name, Ranked
+from ocp.diagnose.engine.linearisation import put_back, stacked_columns
 from ocp.effects.effect import Effect, Scanned
 from robots.pose import Array
 
 NOTHING = "none"
 MOST_SCANS = 12  # variants of a rival that are tried
-
-
-class ReadingRows(Protocol):
-    """Rows, taken or planned: of a channel all that is asked here."""
-
-    @property
-    def system(self) -> System:
-        """Whitened, with nuisance."""
-
-    def variants(self, effect: Effect, joint: int, scans: Sequence[Scanned] | None = None) -> list[Variant]:
-        """Columns of an effect; empty where these rows cannot show it."""
 
 
 @dataclass(frozen=True)
@@ -69,29 +58,16 @@ def unlike(shared: Sequence[ReadingRows], pair: RivalPair, beside: Sequence[Read
         parts = np.split(columns, cuts)
         return np.concatenate([p.apply(part) for p, part in zip(projections, parts, strict=True)])
 
-    left = free(np.concatenate([signature_or_none(c, pair) for c in every]))
+    left = free(put_back(every, [pair.first.active]))
     if pair.rival is None:
         return float(left @ left)
     sd, columns = np.asarray(pair.rival.prior_sd, float), _rival_columns(every, pair.rival, pair.joint)
     return min(float(np.sum(project(free(c), sd).apply(left) ** 2)) for c in columns)
 
 
-def pair_signature(seen: ReadingRows, pair: RivalPair) -> Array | None:
-    """What the first of a pair adds to the rows (N,); None where they cannot show it."""
-    one = pair.first.active
-    made = seen.variants(one.effect, one.joint, [one.scanned])
-    return made[0].columns @ one.a if made else None
-
-
-def signature_or_none(seen: ReadingRows, pair: RivalPair) -> Array:
-    """As `pair_signature`, zeros where there is none."""
-    found = pair_signature(seen, pair)
-    return np.zeros(len(seen.system.residual)) if found is None else found
-
-
 def scans_of(every: Sequence[ReadingRows], effect: Effect, joint: int) -> list[Scanned]:
     """Variants of an effect that the first rows which show it offer, a few of them evenly over its scan."""
-    scans = next(([v.scanned for v in made] for c in every if (made := c.variants(effect, joint))), [])
+    scans = next((found for c in every if (found := c.variants(effect, joint)[0])), ())
     pick = np.unique(np.linspace(0, len(scans) - 1, min(MOST_SCANS, len(scans))).round().astype(int))
     return [scans[k] for k in pick]
 
@@ -99,9 +75,5 @@ def scans_of(every: Sequence[ReadingRows], effect: Effect, joint: int) -> list[S
 def _rival_columns(every: Sequence[ReadingRows], rival: Effect, joint: int) -> list[Array]:
     """Stacked columns (N, m) of the rival's variants; without rows that show it one of zeros."""
     chosen = scans_of(every, rival, joint)
-    made = [c.variants(rival, joint, chosen) for c in every] if chosen else [[] for _ in every]
-    none = [np.zeros((len(c.system.residual), rival.size)) for c in every]
-    return [
-        np.concatenate([v[k].columns if v else zeros for v, zeros in zip(made, none, strict=True)])
-        for k in range(max(len(chosen), 1))
-    ]
+    columns, found = stacked_columns(every, rival, joint, chosen)
+    return [columns[:, k] for k in range(len(found))] or [np.zeros((sum(len(c.system.residual) for c in every), rival.size))]

@@ -21,7 +21,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from ocp.diagnose.engine.channel_system import Fold, HeldOut, ReadingConditions, Sealed, System, Variant
+from ocp.diagnose.engine.channel_system import UNSEEN, Fold, HeldOut, ReadingConditions, Sealed, System, Variants
 from ocp.diagnose.joints.log import JointLog
 from ocp.diagnose.joints.signals import EncoderNoise, Signals, blocks, factors, noise_of, signals_of, whiten_blocks
 from ocp.diagnose.rules import CATALOGUE_SPRING_SD, FRICTION_SD, SPRING_SHARE
@@ -362,24 +362,22 @@ class JointChannel:
         lacking = [need for need in effect.needs if need not in HAVE]
         return f"joints.csv has no column {lacking[0]}: {effect.name} cannot be seen" if lacking else ""
 
-    def variants(self, effect: Effect, joint: int, scans: Sequence[Scanned] | None = None) -> list[Variant]:
+    def variants(self, effect: Effect, joint: int, scans: Sequence[Scanned] | None = None) -> Variants:
         """Whitened columns of an effect; none at a joint without a link side."""
         if self.blind(effect):
-            return []
+            return UNSEEN
         p = self.problem
         if effect.name == DELAY:
             if joint and (joint not in p.noise or len(p.noise) == 1):
-                return []  # the delay of an only joint is the common one
+                return UNSEEN  # the delay of an only joint is the common one
             scans = scans if scans is not None else [{}]
             raw = [p.delay_column(joint, delays_of(p, self.active))] * len(scans)
         else:
             scans = list(scans if scans is not None else effect.scan(joint, self.surroundings))
             raw = list(p.columns(effect, joint, scans)) if scans else []
         if not any(np.abs(c).max(initial=0.0) > 0 for c in raw):
-            return []
-        white = p.whitened(np.hstack(raw))
-        m, sd = effect.size, np.array(effect.prior_sd, float)
-        return [Variant(effect.name, joint, s, white[:, k * m : (k + 1) * m], sd) for k, s in enumerate(scans)]
+            return UNSEEN
+        return tuple(scans), p.whitened(np.hstack(raw)).reshape(len(p.row), len(scans), effect.size)
 
     def with_active(self, active: tuple[Active, ...]) -> "JointChannel":
         """Offsets and coefficients refitted jointly. The noise stays: it was not taken from the gap."""

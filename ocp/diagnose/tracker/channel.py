@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ocp.diagnose.engine.channel_system import Fold, HeldOut, ReadingConditions, Sealed, System, Variant, effects_key
+from ocp.diagnose.engine.channel_system import UNSEEN, Fold, HeldOut, ReadingConditions, Sealed, System, Variants, effects_key
 from ocp.diagnose.rules import BACKGROUND_SIZES, LEAST_CHANGES
 from ocp.diagnose.tracker.background import Background, background
 from ocp.diagnose.tracker.held_out import held_out_readings, predict_sealed_readings, tracker_folds
@@ -157,17 +157,13 @@ class TrackerChannel:
                 return f"{column} hardly changes in tracker.csv: {effect.name} cannot be seen"
         return ""
 
-    def variants(self, effect: Effect, joint: int, scans: Sequence[Scanned] | None = None) -> list[Variant]:
+    def variants(self, effect: Effect, joint: int, scans: Sequence[Scanned] | None = None) -> Variants:
         """Whitened columns about the current fit."""
         if self.blind(effect):
-            return []
+            return UNSEEN
         chosen, moves = self._displaced(effect, joint, scans)
-        if not chosen:
-            return []
         V, n, _, m = moves.shape
-        rows = (self.fit.W @ moves).reshape(V, 3 * n, m)
-        prior = np.asarray(effect.prior_sd, float)
-        return [Variant(effect.name, joint, s, rows[v], prior) for v, s in enumerate(chosen)]
+        return chosen, np.ascontiguousarray((self.fit.W @ moves).reshape(V, 3 * n, m).swapaxes(0, 1))
 
     def _displaced(self, effect: Effect, joint: int, scans: Sequence[Scanned] | None) -> tuple[tuple[Scanned, ...], Array]:
         """Displacements (V, n, 3, m) m per unit coefficient and their scanned values."""

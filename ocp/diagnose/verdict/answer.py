@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from ocp.diagnose.dataset import DataSet
-from ocp.diagnose.engine.channel_system import Channel
+from ocp.diagnose.engine.channel_system import Channel, shows
 from ocp.diagnose.engine.findings import Alternative, Diagnosis, Experiment
 from ocp.diagnose.verdict.patching import is_patch
 from ocp.diagnose.verdict.remaining import Remaining
@@ -108,7 +108,7 @@ def promised(diagnosis: Diagnosis, gaps: Sequence[SignalGap]) -> tuple[Active, .
     grows; one signal at least does."""
     found = []
     for one in diagnosis.active:
-        shown = [g for g in gaps if g.corrected.variants(one.effect, one.joint, [one.scanned])]
+        shown = [g for g in gaps if shows(g.corrected, one)]
         told = [harmless(g.shrinkage, g.promise) for g in shown if g.shrinkage is not None]
         if told and all(told):
             found.append(one)
