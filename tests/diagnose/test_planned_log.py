@@ -64,7 +64,7 @@ def changed(k: int, **values: object) -> list[dict[str, object]]:
         (plan_rows()[:16], "column contact: 1 rows in contact"),
         (plan_rows()[:15], "column contact: 0 rows in contact"),
         (changed(20, px_mm=""), "line 22, column px_mm: the cell is empty"),
-        (changed(20, nx=0.5), "line 22, column nx: 0.5 makes nx, ny, nz 0.5 long"),
+        (changed(20, nx=0.5), "line 22, column nx: 0.5 makes the vector nx, ny, nz 0.5 long"),
         (changed(20, contact=2), "line 22, column contact: 2 must be 1"),
         (changed(50, time_s=0.3), "line 52, column time_s: 0.3 comes after 0.98"),
         (changed(20, q3_deg="x"), "line 22, column q3_deg: 'x'"),

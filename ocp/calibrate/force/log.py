@@ -113,7 +113,11 @@ def read_force_log(path: str | Path, sealed: bool = False, mapping: ColumnMappin
     vectors = (*POINT, *NORMAL, *FEED)
     needed = ("run", "time_s", *AXES, *vectors, *(() if sealed else ("fn_N",)))
     optional = tuple(c for c in OPTIONAL if c != "ft_N") if sealed else OPTIONAL  # what is sealed is no condition
-    table = read_csv_table(path, needed, optional, ("run", "session"), (), mapping)
+    return log_of_table(read_csv_table(path, needed, optional, ("run", "session"), (), mapping), sealed)
+
+
+def log_of_table(table: CsvTable, sealed: bool) -> ForceLog:
+    """The log that the rows of a table are, which has all needed columns. Raises BadInput: as `read_force_log`."""
     n, t = table.stack(NORMAL), table.stack(FEED)
     _check_vectors(table, n, t)
     for column, words in table.words.items():

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from ocp.calibrate.force.log import AXES, FEED, NORMAL, POINT, UNIT_TOLERANCE, ForceLog, Index, read_force_log
+from ocp.calibrate.force.log import AXES, FEED, NORMAL, POINT, ForceLog, Index, log_of_table, read_force_log
 from ocp.diagnose.engine.channel_system import UNSEEN, Channel, needs_motion
 from ocp.diagnose.engine.evidence import project, size_grid, visible_lambda
 from ocp.diagnose.engine.findings import Options
@@ -277,58 +277,28 @@ def _log_of_plan(path: Path) -> ForceLog:
     vectors = (*POINT, *NORMAL, *FEED)
     table = read_csv_table(path, NEEDED, ALONG, gaps=(*vectors, *ALONG))
     contact, line = table.numbers["contact"], table.numbers["line"]
-    bad = ~np.isin(contact, (0.0, 1.0))
-    if bad.any():
-        raise table.refuse(int(np.argmax(bad)), "contact", "must be 1 in contact or 0 between passes")
+    table.column("contact", 1.0, lambda v: ~np.isin(v, (0.0, 1.0)), "1 in contact or 0 between passes")
     rows = np.flatnonzero(contact == 1.0)
     for column in vectors:
         empty = ~np.isfinite(table.numbers[column][rows])
         if empty.any():
             at = table.line[rows[int(np.argmax(empty))]]
             raise BadInput(f"{path}, line {at}, column {column}: the cell is empty in a row in contact; fill it in")
-    n, t = (table.stack(columns)[rows] for columns in (NORMAL, FEED))
-    for columns, values in ((NORMAL, n), (FEED, t)):
-        length = np.linalg.norm(values, axis=1)
-        if (np.abs(length - 1.0) > UNIT_TOLERANCE).any():
-            k, what = int(np.argmax(np.abs(length - 1.0))), ", ".join(columns)
-            raise table.refuse(int(rows[k]), columns[0], f"makes {what} {length[k]:.4g} long; a unit vector is expected")
     change = (np.diff(contact) != 0) | (np.diff(line) != 0)  # a new passage begins there
     _, first, run = np.unique(np.append(0, np.cumsum(change))[rows], return_index=True, return_inverse=True)
     clock = table.numbers["time_s"][rows]
     back = np.flatnonzero(np.diff(clock) < 0)
     if len(back):
         raise table.refuse(int(rows[back[0] + 1]), "time_s", f"comes after {clock[back[0]]:g}; a plan's rows are in time order")
-    s, feed = (table.numbers.get(c) for c in ALONG)
-    return ForceLog(
-        path=path,
-        run=run.astype(np.int64),
-        runs=tuple(f"{k + 1}" for k in range(len(first))),
-        time=clock - clock[first][run],
-        q=np.radians(table.stack(AXES))[rows],
-        p=1e-3 * table.stack(POINT)[rows],
-        n=n / np.linalg.norm(n, axis=1, keepdims=True),
-        t=t / np.linalg.norm(t, axis=1, keepdims=True),
-        fn=np.full(len(rows), np.nan),
-        contact=np.ones(len(rows), bool),
-        session=np.zeros(len(rows), np.int64),
-        sessions=("",),
-        s=_metres(s, rows),
-        feed=_metres(feed, rows),
-        line=line[rows].astype(np.int64),
-        ground_before=_ground(run, line[rows]),
-        clock=clock,
-        row=np.array(table.line)[rows],
-    )
+    there = table.take(rows)
+    known = {name: values for name, values in there.numbers.items() if np.isfinite(values).all()}  # s and feed may have gaps
+    known |= {"time_s": clock - clock[first][run], "clock_s": clock, "ground_before": _ground(run, line[rows])}
+    return log_of_table(replace(there, numbers=known, words={"run": [f"{k + 1}" for k in run]}), sealed=True)
 
 
-def _metres(values: Array | None, rows: Index) -> Array | None:
-    """A column of millimetres in metres; None where it has gaps in contact."""
-    return None if values is None or not np.isfinite(values[rows]).all() else 1e-3 * values[rows]
-
-
-def _ground(run: Index, line: Array) -> Index:
+def _ground(run: Index, line: Array) -> Array:
     """How often (n,) each row's line was ground in the recordings before."""
-    out = np.zeros(len(run), np.int64)
+    out = np.zeros(len(run))
     for k in np.unique(line):
         out[line == k] = np.unique(run[line == k], return_inverse=True)[1]
     return out
