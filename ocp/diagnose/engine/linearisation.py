@@ -224,6 +224,15 @@ class Linearisation:
         """Members from the library."""
         return [m for m in weighed.members if self.pool.families[m.family].effect is not None]
 
+    def member(self, weighed: Weighed, name: Name) -> Member:
+        """The member of a set that has a name."""
+        return next(m for m in weighed.members if self.pool.families[m.family].name == name)
+
+    def best_with(self, sets: Mapping[Key, Weighed], name: Name) -> Weighed:
+        """The best of the sets that have a name."""
+        f = self.index[name]
+        return max((s for k, s in sets.items() if f in k), key=lambda s: s.log)
+
     def values(self, weighed: Weighed) -> tuple[Active, ...]:
         """Effects of a set with their values and covariance, everything in the set fitted together, priors at the upper ends;
         in the order of their names."""

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ocp.diagnose import rules
-from ocp.diagnose.engine.beam import Key, Search, Weighed, weigh
+from ocp.diagnose.engine.beam import NOTHING, Key, Search, Weighed, weigh
 from ocp.diagnose.engine.channel_system import Channel, WeighedReadings, effects_key, is_outlier
 from ocp.diagnose.engine.evidence import log_evidence
 from ocp.diagnose.engine.findings import Name, Options
@@ -252,7 +252,7 @@ def outliers_rechecked(
     search = Search(whole.pool, options.most, options.beam)
     names = {a.key for a in held}
     key = [i for n, i in whole.index.items() if (n.effect, n.joint) in names]
-    there = weigh(whole.pool, key) if key else Weighed(0.0, ())
+    there = weigh(whole.pool, key) if key else NOTHING
     value = search.scan(there).log + search.odds
     value[[*key, *np.flatnonzero(search.kernel | search.background)]] = -np.inf
     for f in np.argsort(-value)[:RECHECKED]:

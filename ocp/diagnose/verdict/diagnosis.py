@@ -8,7 +8,7 @@ import numpy as np
 from scipy.special import fdtrc
 
 from ocp.diagnose import rules
-from ocp.diagnose.engine.beam import Search, Weighed
+from ocp.diagnose.engine.beam import NOTHING, Search, Weighed
 from ocp.diagnose.engine.channel_system import Channel, Resting, Scattering, WeighedReadings
 from ocp.diagnose.engine.evidence import visible_lambda
 from ocp.diagnose.engine.findings import Diagnosis, Explanation, KernelTest, Location, Name, Options, Ranked, Screened
@@ -159,16 +159,16 @@ def leader(problem: Linearisation, search: Search, found: Posterior) -> tuple[We
     of seed 63 (flange_stiffness and backlash) leaves its backlash out."""
     ordered = sorted(found.probability, key=lambda n: -found.probability[n])[: rules.MOST_FOLLOWED]
     if not ordered:
-        return Weighed(0.0, ()), ()
+        return NOTHING, ()
     together = {n: found.probability[n] for n in ordered}
     for names in ordered if found.probability[ordered[0]] < rules.EXPLAINED else ():
-        weighed = search.sets[found.best[names]]
+        weighed = found.best[names]
         signatures = [signature(problem, weighed, one) for one in problem.values(weighed)]
         alike = next(g for g in _alike(found, classes_of(problem, weighed, signatures)) if names in g)
         if alike[0] == names:  # a weak set is imitated by nearly everything
             together[names] = sum(found.probability[n] for n in alike)
     best = max(ordered, key=lambda n: (round(together[n], 3), found.probability[n]))
-    return (Weighed(0.0, ()), ()) if found.p_none >= together[best] else (search.sets[found.best[best]], best)
+    return (NOTHING, ()) if found.p_none >= together[best] else (found.best[best], best)
 
 
 def named_part(problem: Linearisation, weighed: Weighed) -> Given:
@@ -178,11 +178,8 @@ def named_part(problem: Linearisation, weighed: Weighed) -> Given:
 
 def signature(problem: Linearisation, weighed: Weighed, one: Active) -> Array:
     """Projected signature (N,) of an effect of a set at its value."""
-    for m in weighed.members:
-        family = problem.pool.families[m.family]
-        if family.effect is one.effect and family.name.joint == one.joint:
-            return np.asarray(problem.pool.columns(m) @ (one.a / family.scale))
-    raise KeyError(one.effect.name)
+    m = problem.member(weighed, Name(*one.key))
+    return np.asarray(problem.pool.columns(m) @ (one.a / problem.pool.families[m.family].scale))
 
 
 def classes_of(problem: Linearisation, weighed: Weighed, signatures: Sequence[Array]) -> tuple[tuple[Name, ...], ...]:
@@ -190,8 +187,7 @@ def classes_of(problem: Linearisation, weighed: Weighed, signatures: Sequence[Ar
     found = []
     for one, d in zip(problem.values(weighed), signatures, strict=True):
         name = Name(*one.key)
-        member = next(m for m in weighed.members if m.family == problem.index[name])
-        found.append((name, *twins(problem, weighed, member, d)))
+        found.append((name, *twins(problem, weighed, problem.member(weighed, name), d)))
     return merged(found)
 
 
@@ -202,16 +198,15 @@ def suspected(problem: Linearisation, search: Search, ranked: Sequence[Ranked]) 
     if not ranked or ranked[0].detectability < told_apart(ranked[0].active.effect.size):
         return ()
     name = ranked[0].name
-    f = problem.index[name]
-    weighed = max((s for k, s in search.sets.items() if f in k), key=lambda s: s.log)
-    member = next(m for m in weighed.members if m.family == f)
-    return merged([(name, *twins(problem, weighed, member, signature(problem, weighed, ranked[0].active)))])
+    weighed = problem.best_with(search.sets, name)
+    d = signature(problem, weighed, ranked[0].active)
+    return merged([(name, *twins(problem, weighed, problem.member(weighed, name), d))])
 
 
 def explanations(found: Posterior, classes: Sequence[tuple[Name, ...]]) -> tuple[Explanation, ...]:
     """By probability; sets that differ by names of one class are one, under the more probable of its names."""
     groups, p = _alike(found, classes), found.probability
-    merged_sets = [Explanation(g[0], sum(p[n] for n in g), max(found.log[n] for n in g)) for g in groups]
+    merged_sets = [Explanation(g[0], sum(p[n] for n in g), max(found.best[n].log for n in g)) for g in groups]
     return tuple(sorted(merged_sets, key=lambda e: -e.probability))
 
 
@@ -229,10 +224,9 @@ def ranking(problem: Linearisation, search: Search, found: Posterior) -> tuple[R
     for them against their absence (not against their being in the background); values are those of the best set that has them."""
     ranked = []
     for name in sorted(found.marginal, key=lambda n: (found.marginal[n] < rules.LEADS, -found.gain[n]))[: rules.RANKED]:
-        f = problem.index[name]
-        key = max((k for k in search.sets if f in k), key=lambda k: search.sets[k].log)
-        one = next(a for a in problem.values(search.sets[key]) if a.key == (name.effect, name.joint))
-        d = signature(problem, search.sets[key], one)
+        weighed = problem.best_with(search.sets, name)
+        one = next(a for a in problem.values(weighed) if a.key == (name.effect, name.joint))
+        d = signature(problem, weighed, one)
         ranked.append(Ranked(name, min(found.marginal[name], 1.0), found.gain[name], one, float(d @ d)))
     ranked.sort(key=lambda r: (-round(r.probability, 2), -r.detectability if r.probability > rules.LEADS else 0.0))
     return tuple(ranked)

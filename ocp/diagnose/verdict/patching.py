@@ -199,10 +199,8 @@ def patches_of(problem: Linearisation, search: Search, where: Mapping[Name, floa
     ordered = sorted(where, key=lambda n: -where[n])[: rules.MOST_FOLLOWED]
     channel = next((c for c in problem.channels for name in ordered[:1] if c.name == signal_of(name)), None)
     for name in ordered:
-        f = problem.index[name]
-        best = max((k for k in search.sets if f in k), key=lambda k: search.sets[k].log)
-        member = next(m for m in search.sets[best].members if m.family == f)
-        family = problem.pool.families[f]
+        member = problem.member(problem.best_with(search.sets, name), name)
+        family = problem.pool.families[member.family]
         variant, size = int(family.scans[member.variant]["kernel"]), member.size * float(family.scale[0])
         patch = None if channel is None else as_patch(name, variant, size, channel)
         if channel is None or (patch is None and not found):

@@ -23,7 +23,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ocp.diagnose import rules
-from ocp.diagnose.engine.beam import Key, Search, Weighed
+from ocp.diagnose.engine.beam import NOTHING, Key, Search, Weighed
 from ocp.diagnose.engine.findings import Alternative, Name
 from ocp.diagnose.engine.linearisation import Linearisation
 from ocp.diagnose.engine.pool import CandidatePool, Member, given, scan_one
@@ -36,20 +36,19 @@ Names = tuple[Name, ...]
 
 @dataclass(frozen=True)
 class Posterior:
-    """Probability and log weight (best of its sets) by explanation (names from the library, kernels summed out); p_none: no name
-    is in; p_unknown: a kernel is in, with names or without; beside: shares of it by explanation, of none as well; where: by
-    kernel; marginal by name; gain: best log weight with a name less best without it and without what stands for it in the
-    background; best: the key of the best set of every explanation."""
+    """Probability by explanation (names from the library, kernels summed out); p_none: no name is in; p_unknown: a kernel is in,
+    with names or without; beside: shares of it by explanation, of none as well; where: by kernel; marginal by name; gain: best
+    log weight with a name less best without it and without what stands for it in the background; best: of the sets of every
+    explanation."""
 
     probability: dict[Names, float]
-    log: dict[Names, float]
     p_none: float
     p_unknown: float
     beside: dict[Names, float]
     where: dict[Name, float]
     marginal: dict[Name, float]
     gain: dict[Name, float]
-    best: dict[Names, Key]
+    best: dict[Names, Weighed]
 
     @property
     def p_alone(self) -> float:
@@ -59,36 +58,31 @@ class Posterior:
 
 def posterior(problem: Linearisation, search: Search) -> Posterior:
     """Background lines and kernels are summed over: they explain without being named."""
-    keys = list(search.sets)
-    log = np.array([search.sets[k].log for k in keys])
+    log = np.array([one.log for one in search.sets.values()])
     share = np.exp(log - log.max())
     share /= share.sum()
     families = problem.pool.families
-    probability = defaultdict[Names, float](float)
-    beside, where, marginal = defaultdict[Names, float](float), defaultdict[Name, float](float), defaultdict[Name, float](float)
-    best: dict[Names, Key] = {}
-    weight: dict[Names, float] = {}
-    p_none = p_unknown = 0.0
-    with_name: dict[Name, float] = {}
-    for key, p, w in zip(keys, share, log, strict=True):
+    probability, beside = defaultdict[Names, float](float), defaultdict[Names, float](float)
+    where, marginal = defaultdict[Name, float](float), defaultdict[Name, float](float)
+    best, with_name = dict[Names, Weighed](), dict[Name, float]()
+    p_unknown = 0.0
+    for (key, one), p in zip(search.sets.items(), share.tolist(), strict=True):
         named = _names_in(problem, key)
-        strange = [families[f].name for f in key if families[f].effect is None and not families[f].background]
+        strange = [families[f].name for f in key if search.kernel[f]]
         for name in named:
-            marginal[name] += float(p)
-            with_name[name] = max(with_name.get(name, -np.inf), float(w))
-        if strange:
-            p_unknown += float(p)
-            beside[named] += float(p)
+            marginal[name] += p
+            with_name[name] = max(with_name.get(name, -np.inf), one.log)
         for name in strange:
-            where[name] += float(p)
-        if not named:
-            p_none += float(p)
-            continue
-        probability[named] += float(p)
-        if named not in best or w > weight[named]:
-            best[named], weight[named] = key, float(w)
+            where[name] += p
+        if strange:
+            p_unknown += p
+            beside[named] += p
+        probability[named] += p
+        if named not in best or one.log > best[named].log:
+            best[named] = one
     gain = {name: w - max(_without(name, problem, search), 0.0) for name, w in with_name.items()}
-    return Posterior(probability, weight, min(p_none, 1.0), min(p_unknown, 1.0), beside, where, marginal, gain, best)
+    p_none = min(probability.pop((), 0.0), 1.0)
+    return Posterior(probability, p_none, min(p_unknown, 1.0), beside, where, marginal, gain, best)
 
 
 def _names_in(problem: Linearisation, key: Key) -> Names:
@@ -176,7 +170,7 @@ def alternatives(
         unknown = found.beside.get(other, 0.0)
         patches = _patches_beside(problem, search, strange, unknown) if unknown >= rules.FOLLOWED else ()
         kept = sets.keys() - strange.keys() if patches else sets
-        plain = max((sets[k] for k in kept), key=lambda s: s.log, default=Weighed(0.0, ()))
+        plain = max((sets[k] for k in kept), key=lambda s: s.log, default=NOTHING)
         here = [(Alternative(p - (unknown if patches else 0.0), ()), plain)]
         here += [(one, max(strange.values(), key=lambda s: s.log)) for one in patches]
         for one, best in here:
@@ -190,14 +184,9 @@ def _patches_beside(
 ) -> tuple[Alternative, ...]:
     """Patches of the kernels in these sets, which hold the same names, with probabilities that sum to `unknown`; none: no patch
     can hold what does."""
-    alone, where = copy(search), defaultdict[Name, float](float)
+    alone = copy(search)
     alone.sets = strange
-    most = max(s.log for s in strange.values())
-    for key, one in strange.items():
-        for f in key:
-            if search.kernel[f]:
-                where[problem.pool.families[f].name] += float(np.exp(one.log - most))
-    patches = patches_of(problem, alone, where)
+    patches = patches_of(problem, alone, posterior(problem, alone).where)
     total = sum(one.probability for one in patches)
     return tuple(replace(one, probability=unknown * one.probability / total) for one in patches)
 
@@ -209,7 +198,7 @@ def without_kernels(problem: Linearisation, search: Search) -> tuple[Alternative
     found = posterior(problem, plain)
     listed = [Alternative(found.p_none, ())]
     for names, p in sorted(found.probability.items(), key=lambda item: -item[1])[: rules.MOST_FOLLOWED]:
-        listed.append(Alternative(p, problem.values(plain.sets[found.best[names]])))
+        listed.append(Alternative(p, problem.values(found.best[names])))
     listed.sort(key=lambda a: -a.probability)
     listed = [a for k, a in enumerate(listed) if k == 0 or a.probability >= rules.FOLLOWED]
     total = sum(a.probability for a in listed)
