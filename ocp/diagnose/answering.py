@@ -72,7 +72,7 @@ def channels_of(data: DataSet, phases: Phases) -> list[Channel]:
             assert data.cell is not None
             # Not the readings: what an effect explains in them must leave the arm that the log is fitted with.
             tracker = next((one for one in found if isinstance(one, TrackerChannel)), None)
-            found.append(force_channel(data.cell, data.log, tracker, mapping=data.mapping))
+            found.append(force_channel(data.cell, data.log, tracker))
     if data.joints is not None:
         with phases.phase("joints"):
             from ocp.diagnose.joints.channel import joint_channel

@@ -19,7 +19,7 @@ from ocp.diagnose.engine.kernels import kernels
 from ocp.diagnose.force import prediction
 from ocp.diagnose.force.channel import ForceChannel, force_channel, problem_of
 from ocp.diagnose.force.fit import ForceProblem, fit_effects
-from ocp.diagnose.force.logged_contact import hook_columns
+from ocp.diagnose.force.logged_contact import PLACE, hook_columns
 from ocp.diagnose.force.prediction import (
     acts_by_force,
     effect_derivatives,
@@ -195,9 +195,9 @@ def test_a_turn_of_the_base_moves_the_blade_as_a_body(made):
     scene, at = channel.problem.scene, channel.problem.scene.touching
     fn = effect_derivatives(scene, channel.fit.at, channel.fit.slopes, effect, 0, [{}])[0][0, :, 0]
     # Where the fit has the contact (a millimetre from where it is: bearing alone is an unknown of the arm), turned as a body.
-    R = channel.fit.at.samples.at("R_blade").reshape(-1, 3, 3)
+    R = channel.fit.at.samples[:, PLACE["R_blade"]].reshape(-1, 3, 3)
     p = np.einsum("nij,nj->ni", R, made.base.columns["p"]) + scene.arm.origin
-    overlap = -np.sum(channel.fit.at.samples.at("e") * np.cross(turn, p), axis=1)
+    overlap = -np.sum(channel.fit.at.samples[:, PLACE["e"]] * np.cross(turn, p), axis=1)
     force = channel.fit.at.stiffness * overlap
     np.testing.assert_allclose(fn[at], force[at], atol=0.01 * np.abs(force).max())
 
@@ -439,12 +439,12 @@ def test_friction_follows_the_setpoint_and_the_stroke_follows_the_force(made, mo
     with monkeypatch.context() as patch:
         patch.setattr(prediction, "carried", lambda scene, at, past: heard.append(past) or (0.0, 0.0))
         nuisance_derivatives(scene, at, slopes[0])
-    strokes = [end.samples.at("parts")[rows, 0] for end in ends]
+    strokes = [end.samples[:, PLACE["parts"]][rows, 0] for end in ends]
     assert heard[0][1][rows, setpoint] == pytest.approx((strokes[0] - strokes[1]) / (2 * h), rel=1e-3, abs=1e-8)
     # The parts are those of the force that is told, not of the step before it.
-    give, force = at.samples.at("slopes")[rows, 0], at.F[rows]
+    give, force = at.samples[:, PLACE["slopes"]][rows, 0], at.F[rows]
     near = predict_forces(scene, x + 1e-3 * step, held, at)
-    moved = near.samples.at("parts")[rows, 0] - at.samples.at("parts")[rows, 0]
+    moved = near.samples[:, PLACE["parts"]][rows, 0] - at.samples[:, PLACE["parts"]][rows, 0]
     assert moved == pytest.approx(give * (near.F[rows] - force - 1e-3 * h), abs=1e-13)
 
 

@@ -1,6 +1,6 @@
 """The grinding-force log as a channel: believed contact refitted, effects' columns, refits with effects inside."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -41,8 +41,6 @@ from ocp.effects.flange_friction import EFFECT as FRICTION
 from ocp.effects.motor_harmonic import ratios_of
 from ocp.model.cell import Cell, with_calibration
 from robots.calibration.store import Calibration
-from robots.column_mapping import ColumnMapping
-from robots.csv_table import OURS
 from robots.errors import Infeasible
 from robots.gravity import weight_torques
 from robots.pose import Array
@@ -211,11 +209,11 @@ class ForceChannel:
         if self.tracker is not None and (moved or any(a.effect.on_arm for a in self.active)):
             # What bends the readings of the tracker bends what is believed of the arm.
             believed = contact_prior(self.problem.scene.cell, arm_with_effects(self.tracker, moved))
-            problem = replace(self.problem, believed=believed)
-            found = replace(self, problem=problem, fit=fit_effects(problem, visible), before=self.baseline, judged={}, latest={})
+            problem, near = replace(self.problem, believed=believed), None
         else:
-            fit = fit_effects(self.problem, visible, self.fit)
-            found = replace(self, fit=fit, before=self.baseline if visible else None, judged={}, latest={})
+            problem, near = self.problem, self.fit
+        fit, before = fit_effects(problem, visible, near), self.baseline if visible else None
+        found = replace(self, problem=problem, fit=fit, before=before, judged={}, latest={})
         white = self.baseline.fit.whiteners
         if found.squares(white) > RAN_OFF * self.baseline.squares(white):
             raise Infeasible(
@@ -284,33 +282,22 @@ class ForceChannel:
 
 
 def force_channel(
-    cell: Cell,
-    log: ForceLog,
-    tracker: Path | TrackerChannel | None = None,
-    arm: Calibration | None = None,
-    effects: Iterable[Effect] | None = None,
-    mapping: ColumnMapping = OURS,
+    cell: Cell, log: ForceLog, tracker: TrackerChannel | None = None, arm: Calibration | None = None
 ) -> ForceChannel:
     """The believed contact fitted to a log.
 
-    The arm's prior is `arm`, else what the readings `tracker` say of the believed arm (a channel: with its active effects too),
-    else the cell's. `effects`: those whose fast patterns are kept (default: the library); mapping: of
-    the readings. Raises BadInput, Infeasible: as
-    `prepare_force` and the fit.
+    The arm's prior is `arm`, else what the readings of `tracker` say of the believed arm, else the cell's. Raises BadInput,
+    Infeasible: as `prepare_force` and the fit.
     """
-    channel = tracker if isinstance(tracker, TrackerChannel) else None
-    if arm is None and channel is not None:
-        arm = arm_with_effects(channel, ())
-    elif arm is None and isinstance(tracker, Path):
-        arm = arm_from_tracker(tracker, cell.path, mapping)
+    if arm is None and tracker is not None:
+        arm = arm_with_effects(tracker, ())
     read_off = None if cell.flange is None else with_setpoints_read_off(log, cell.flange.setpoint)
     log, more = (log, ()) if read_off is None else (read_off[0], read_off[1:])
     if arm is not None:  # the force acts on an arm that bends where the readings say
         cell = replace(cell, compliant_joints=with_calibration(cell, arm).compliant_joints)
     problem = problem_of(prepare_force(replace(cell, effects=()), [log]), cell, log, arm)
     problem = replace(problem, notices=(*problem.notices, *more))
-    chosen = tuple(library().values() if effects is None else effects)
-    return ForceChannel(problem, fit_effects(problem), chosen, tracker=channel)
+    return ForceChannel(problem, fit_effects(problem), tuple(library().values()), tracker=tracker)
 
 
 def problem_of(

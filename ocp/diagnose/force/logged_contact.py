@@ -28,41 +28,15 @@ PLACE = CONTACT_LAYOUT.places
 _AT = RowLayout(tuple((name, len(names)) for name, names in BLOCKS.items())).places  # of theta
 
 
-@dataclass(frozen=True)
-class ContactSamples:
-    """Numbers (n, k) of n samples in the order of `CONTACT_LAYOUT`; columns that a log does not have are nan."""
-
-    values: Array
-
-    def __len__(self) -> int:
-        return len(self.values)
-
-    def take(self, rows: Any) -> "ContactSamples":
-        """The rows of an index or mask."""
-        return ContactSamples(self.values[rows])
-
-    def at(self, name: str) -> Array:
-        """One field (n,) or (n, k)."""
-        out = self.values[:, PLACE[name]]
-        return out[:, 0] if out.shape[1] == 1 else out
-
-    def put(self, name: str, value: Array | float) -> None:
-        """Set a field of one number."""
-        self.values[:, PLACE[name].start] = value
-
-
-def hook_columns(cell: Cell, effect: Effect, kind: str, joint: int, scans: Sequence[Scanned], samples: ContactSamples) -> Array:
+def hook_columns(cell: Cell, effect: Effect, kind: str, joint: int, scans: Sequence[Scanned], samples: Array) -> Array:
     """A contact hook ("overlap", "push", "sensor", "shear") on samples for every variant: (V, n, m)."""
     place = ContactPlace(cell.wheel.radius, cell.wheel.friction, tuple(cell.robot.gravity_direction))
-    return contact_columns(effect, kind, joint, scans, place, samples.values)
+    return contact_columns(effect, kind, joint, scans, place, samples)
 
 
-def samples_of(
-    cell: Cell, rows: PlacedRows, conditions: LogConditions, F: Array, state: Array, stiffness: Array
-) -> ContactSamples:
-    """Samples of rows in contact at forces F (n,) N with their state (n, 34); all of them in the order of `rows`.
-
-    Where theta turns the wheel's axis or shifts the blade the frames follow.
+def samples_of(cell: Cell, rows: PlacedRows, conditions: LogConditions, F: Array, state: Array, stiffness: Array) -> Array:
+    """Samples (n, k), in the order of `CONTACT_LAYOUT`, of rows in contact at forces F (n,) N with their state (n, 34); columns
+    that a log does not have are nan. Where theta turns the wheel's axis or shifts the blade the frames follow.
     """
     base, theta, wheel, c = rows.base, rows.theta, cell.wheel, conditions
     T, w = state[:, STATE["T"]].reshape(-1, 4, 4), base.waypoint
@@ -86,7 +60,7 @@ def samples_of(
     blocks["lever"] = np.abs(w[:, :3] @ cell.workpiece.clamp_normal - cell.workpiece.clamp_offset)
     blocks |= {"q": base.q}
     blocks["clamp_deflection"] = F / cell.workpiece.clamp_stiffness
-    return ContactSamples(CONTACT_LAYOUT.stack(len(F), blocks))
+    return CONTACT_LAYOUT.stack(len(F), blocks)
 
 
 def _push_axis(cell: Cell, R_flange: Array, n: Array) -> Array:

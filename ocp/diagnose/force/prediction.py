@@ -15,7 +15,7 @@ from ocp.calibrate.force.fit import BIAS
 from ocp.calibrate.force.log import Flags, Index
 from ocp.calibrate.force.model import PROBE, STATE, ForceModel, ForceRows, PlacedRows
 from ocp.calibrate.force.rows import LogConditions
-from ocp.diagnose.force.logged_contact import BLADE, PLACE, ContactSamples, LoggedArm, hook_columns, logged_arm, samples_of
+from ocp.diagnose.force.logged_contact import BLADE, PLACE, LoggedArm, hook_columns, logged_arm, samples_of
 from ocp.diagnose.force.prior import NUISANCE, SHEAR_BIAS, SHEAR_GAIN
 from ocp.effects.context import LogRows
 from ocp.effects.effect import Active, Effect, Scanned
@@ -57,13 +57,13 @@ class LogScene:
         return replace(self, rows=rows, conditions=conditions, arm=arm, pressed=pressed)
 
     @cached_property
-    def air(self) -> ContactSamples:
-        """Samples of all rows without contact: where the arm is, no force."""
+    def air(self) -> Array:
+        """Samples (n, k) of all rows without contact: where the arm is, no force."""
         low, rows = np.full(len(self.rows), self.model.least_force), PlacedRows.of(self.cell, self.rows, self.theta)
         state = self.model.evaluate("state", rows, low)
         out = samples_of(self.cell, rows, self.conditions, low, state, np.zeros(len(low)))
         for name in ZEROED:
-            out.values[:, PLACE[name]] = 0.0
+            out[:, PLACE[name]] = 0.0
         return out
 
     @cached_property
@@ -79,17 +79,17 @@ class LogScene:
 
 @dataclass(frozen=True)
 class Predicted:
-    """Of n rows at one estimate: parameters x and active effects; contact force F (n,) N; readings fn, ft (n,) N; samples of
-    all rows; stiffness (n,) N/m; fn_slope, ft_slope (n,): of the readings in F; the rows in contact as the balance had them;
-    prompt (n,), (n,) N: what of both readings a delay shifts, the contact's own. What the sensor adds is slow, or of free phase:
-    shifted with it, a wave's phase and the delay would be one curved valley."""
+    """Of n rows at one estimate: parameters x and active effects; contact force F (n,) N; readings fn, ft (n,) N; samples
+    (n, k) of all rows; stiffness (n,) N/m; fn_slope, ft_slope (n,): of the readings in F; the rows in contact as the balance had
+    them; prompt (n,), (n,) N: what of both readings a delay shifts, the contact's own. What the sensor adds is slow, or of free
+    phase: shifted with it, a wave's phase and the delay would be one curved valley."""
 
     x: Array
     active: tuple[Active, ...]
     F: Array
     fn: Array
     ft: Array
-    samples: ContactSamples
+    samples: Array
     stiffness: Array
     fn_slope: Array
     ft_slope: Array
@@ -119,14 +119,14 @@ def predict_forces(scene: LogScene, x: Array, active: Sequence[Active] = (), nea
     bending = [a for a in whole if a.effect.overlap is not None or a.effect.push is not None]
     pressed = np.zeros(len(at), bool) if scene.pressed is None else scene.pressed[at]
     force, state, stiff = scene.model.solve(rows, guess, pressed, extra if bending else None, known, TOLERANCE)
-    samples, F, stiffness = ContactSamples(scene.air.values.copy()), np.zeros(n), np.zeros(n)
-    samples.values[at] = samples_of(scene.cell, rows, inside, force, state, stiff).values
+    samples, F, stiffness = scene.air.copy(), np.zeros(n), np.zeros(n)
+    samples[at] = samples_of(scene.cell, rows, inside, force, state, stiff)
     F[at], stiffness[at] = force, stiff
     fn, ft = _readings(scene, x, whole, samples, F)
     fn_slope, ft_slope = np.ones(n), scene.shear * (1.0 + x[SHEAR_GAIN])
     if any(a.effect.sensor is not None or a.effect.shear is not None for a in whole):
-        more = ContactSamples(samples.values.copy())
-        more.put("F", F + PROBE)
+        more = samples.copy()
+        more[:, PLACE["F"].start] = F + PROBE
         fn_more, ft_more = _readings(scene, x, whole, more, F + PROBE)
         fn_slope, ft_slope = (fn_more - fn) / PROBE, (ft_more - ft) / PROBE
     made = Predicted(x, tuple(active), F, fn, ft, samples, stiffness, fn_slope, ft_slope, rows, _own(scene, x, F))
@@ -151,14 +151,14 @@ def placed_rows(scene: LogScene, x: Array, active: Sequence[Active]) -> PlacedRo
     return PlacedRows.of(scene.cell, base, theta, shift)
 
 
-def interference(cell: Cell, effect: Effect, joint: int, scans: Sequence[Scanned], samples: ContactSamples) -> Array:
+def interference(cell: Cell, effect: Effect, joint: int, scans: Sequence[Scanned], samples: Array) -> Array:
     """Interference (V, n, m) m per unit coefficient of an effect's overlap and push. A push moves the flange's balance: it counts
     as the stroke it takes; in a rigid cell as the overlap that brings as much force."""
     out = np.zeros((len(scans), len(samples), effect.size))
     if effect.overlap is not None:
         out += hook_columns(cell, effect, "overlap", joint, scans, samples)
     if effect.push is not None:
-        slopes = samples.at("slopes")
+        slopes = samples[:, PLACE["slopes"]]
         deflection = slopes[:, 0] if cell.flange is not None else slopes.sum(axis=1)
         out += hook_columns(cell, effect, "push", joint, scans, samples) * deflection[:, None]
     return out
@@ -166,7 +166,7 @@ def interference(cell: Cell, effect: Effect, joint: int, scans: Sequence[Scanned
 
 def remembered(scene: LogScene, made: Predicted, effect: Effect, joint: int, scanned: Scanned) -> tuple[Array, Array]:
     """What an effect that remembers the log adds to both readings (n, m) N per unit coefficient."""
-    stroke = made.samples.at("parts")[:, 0]
+    stroke = made.samples[:, PLACE["parts"].start]
     return _memory(scene, made, effect, joint, scanned, (made.F, stroke, *made.prompt), effect.size)
 
 
@@ -199,16 +199,15 @@ def _memory(
     if effect.along is None and effect.along_shear is None:
         return none, none
     assert effect.size == 1, f"{effect.name}: what remembers has one coefficient"
-    c, s = scene.conditions, made.samples
-    slopes = s.at("slopes")
+    c, parts, slopes = scene.conditions, made.samples[:, PLACE["parts"]], made.samples[:, PLACE["slopes"]]
     whole = slopes.sum(axis=1, keepdims=True)
     share = np.divide(slopes, whole, out=np.zeros_like(slopes), where=whole > 0)
     same: dict[str, Any] = {name: getattr(c, name) for name in ("time", "s", "travel", "feed")}
     log = LogRows(
         run=c.run.astype(float),
         F=past[0],
-        d_wheel=s.at("parts")[:, 1],
-        d_flange=s.at("parts")[:, 0],
+        d_wheel=parts[:, 1],
+        d_flange=parts[:, 0],
         stroke=past[1],
         stiffness=np.divide(1.0, whole[:, 0], out=np.zeros(len(whole)), where=whole[:, 0] > 0),
         wheel_share=share[:, 1],
@@ -226,7 +225,7 @@ def _memory(
     return normal, normal * scene.shear[:, None]
 
 
-def _readings(scene: LogScene, x: Array, active: Sequence[Active], samples: ContactSamples, F: Array) -> tuple[Array, Array]:
+def _readings(scene: LogScene, x: Array, active: Sequence[Active], samples: Array, F: Array) -> tuple[Array, Array]:
     """Both readings (n,) N with what active effects do to the sensor, before anything that remembers."""
     fn, ft = _own(scene, x, F)
     for one in active:
@@ -305,7 +304,7 @@ def force_changes(
     rows = scene.touching
     force = np.zeros((len(at.F), len(scans), effect.size))
     if effect.overlap is not None or effect.push is not None:
-        change = interference(scene.cell, effect, joint, scans, at.samples.take(rows))
+        change = interference(scene.cell, effect, joint, scans, at.samples[rows])
         force[rows] = at.stiffness[rows, None, None] * change.swapaxes(0, 1)
     if effect.on_arm:
         moved = scene.arm.columns(effect, joint, scans)
@@ -324,7 +323,7 @@ def acts_by_force(scene: LogScene, at: Predicted, effect: Effect) -> bool:
 
 def _soft(at: Predicted) -> Array:
     """What the flange gives (n, 1) m per newton of the force."""
-    return np.asarray(at.samples.at("slopes")[:, :1])
+    return at.samples[:, PLACE["slopes"]][:, :1]
 
 
 def _shear(scene: LogScene, at: Predicted) -> Array:

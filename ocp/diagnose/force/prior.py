@@ -33,8 +33,6 @@ from robots.calibration.fit import Fit, fit_campaign, fit_learned
 from robots.calibration.layout import Choice, Layout
 from robots.calibration.solver import Campaign
 from robots.calibration.store import BENDING, Calibration
-from robots.column_mapping import ColumnMapping
-from robots.csv_table import OURS
 from robots.pose import Array
 from robots.tracker_readings import read_readings
 
@@ -79,13 +77,13 @@ def contact_prior(cell: Cell, arm: Calibration | None = None) -> NuisancePrior:
     return NuisancePrior(mean, covariance_root(whole), None if calibration is None else calibration.joint_noise)
 
 
-def arm_from_tracker(tracker: Path, cell_file: Path, mapping: ColumnMapping = OURS) -> Calibration:
+def arm_from_tracker(tracker: Path, cell_file: Path) -> Calibration:
     """The arm's posterior from tracker readings with the believed springs: prior of the force channel.
 
     Raises BadInput: malformed readings.
     """
     setup = read_tracker_setup(cell_file)
-    readings = read_readings(tracker, setup.payloads, setup.instrument, mapping=mapping)
+    readings = read_readings(tracker, setup.payloads, setup.instrument)
     campaign = Campaign(setup.robot, readings, setup.payloads, setup.instrument)
     choice = Choice(joints=tuple(j for j in setup.compliant_joints if setup.robot.stiffness[j - 1] > 0))
     first = fit_campaign(campaign, choice)
