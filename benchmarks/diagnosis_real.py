@@ -17,7 +17,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from ocp.diagnose.answering import answer_of, tracker_channel
-from ocp.diagnose.dataset import DataSet, read_data_set, read_sealed_tracker
+from ocp.diagnose.dataset import DataSet, read_data_set, read_sealed
 from ocp.diagnose.engine.channel_system import HeldOut
 from ocp.diagnose.engine.evidence import stack
 from ocp.diagnose.engine.findings import Options
@@ -237,9 +237,9 @@ def corrections(data: DataSet, believed: DataSet) -> Iterator[tuple[str, Array, 
     """Ways to predict what was held out: what is in it, points (r, 3) m, their sigma, the effects. believed: the same readings
     with springs in the cell."""
     base, springs = tracker_channel(data), tracker_channel(believed)
-    sealed = read_sealed_tracker(data)
+    sealed = read_sealed(data, "tracker")
     yield "calibrated, joints rigid", base.predict(sealed, ()).baseline, None, ""
-    yield "calibrated, springs of joints 2 and 3", springs.predict(read_sealed_tracker(believed), ()).baseline, None, ""
+    yield "calibrated, springs of joints 2 and 3", springs.predict(read_sealed(believed, "tracker"), ()).baseline, None, ""
     for label, channel in (("ocp.diagnose, joints rigid", base), ("ocp.diagnose, springs in the cell", springs)):
         found = diagnose_channels([channel], library(), Options(where=False)).active
         there = channel.predict(sealed, found)
@@ -276,7 +276,7 @@ def days_part(campaign: PublishedCampaign, path: Path, folder: Path) -> None:
         held = np.flatnonzero(day != first)
         data_set(campaign, folder / f"day{first}", held)
         answer = answer_of(folder / f"day{first}", Phases())
-        told, sealed = answer.gaps[0].promise.get(ANOTHER_DAY), read_sealed_tracker(answer.data)
+        told, sealed = answer.gaps[0].promise.get(ANOTHER_DAY), read_sealed(answer.data, "tracker")
         predicted = answer.diagnosis.channels[0].predict(sealed, answer.diagnosis.active)
         names = " ".join(f"{a.effect.name}:{a.joint}" for a in answer.diagnosis.active) or "none"
         for other in sorted(set(day[held])):

@@ -33,7 +33,7 @@ from ocp.blindtest.worlds.recipes import BINS, SEVERAL, STRANGE, Recipe
 from ocp.blindtest.worlds.sealing import write_cell
 from ocp.data import CELL
 from ocp.diagnose.answering import answer_of, predict_sealed, tracker_channel
-from ocp.diagnose.dataset import read_sealed_tracker
+from ocp.diagnose.dataset import read_sealed
 from ocp.diagnose.document import document_of
 from ocp.diagnose.engine.channel_system import Sealed
 from ocp.diagnose.tracker.channel import TrackerChannel
@@ -151,7 +151,7 @@ def with_exact_signature(folder: Path, answer: Answer, told: Sequence[dict[str, 
     assert isinstance(channel, TrackerChannel) and answer.data.readings is not None
     rows = channel.readings.line - 2
     bare = replace(answer.data, readings=replace(answer.data.readings, point=answer.data.readings.point - adds[0][rows]))
-    return np.asarray(tracker_channel(bare).predict(read_sealed_tracker(bare), ()).baseline + adds[1])
+    return np.asarray(tracker_channel(bare).predict(read_sealed(bare, "tracker"), ()).baseline + adds[1])
 
 
 def _rewritten(source: Path, path: Path, points: Array | None, late: Array) -> None:

@@ -22,7 +22,7 @@ from ocp.blindtest.worlds.recipes import OUTSIDE, Recipe, of_arm
 from ocp.blindtest.worlds.sealing import Check, Label, machine_of, read_label, read_seal, write_world
 from ocp.calibrate.force.log import read_force_log
 from ocp.diagnose.answering import channels_of
-from ocp.diagnose.dataset import read_data_set, read_sealed_tracker
+from ocp.diagnose.dataset import read_data_set, read_sealed
 from ocp.diagnose.force.channel import predict_believed
 from ocp.model.cell import read_cell
 from ocp.shell.progress import Phases
@@ -147,7 +147,7 @@ def _tracker_floor(machine: TrackerMachine) -> float:
         write_world(Path(folder), machine, ())
         data = read_data_set(folder)
         channel = channels_of(data, Phases())[0]
-        predicted = channel.predict(read_sealed_tracker(data), ())
+        predicted = channel.predict(read_sealed(data, "tracker"), ())
     return rms(predicted.baseline - machine.points((), sealed=True))
 
 

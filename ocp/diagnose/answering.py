@@ -14,23 +14,13 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
 from ocp.diagnose.corrected import write_corrected_cell
-from ocp.diagnose.dataset import (
-    SEALED,
-    DataSet,
-    beyond_log,
-    beyond_measured,
-    blinds,
-    read_data_set,
-    read_sealed_force,
-    read_sealed_joints,
-    read_sealed_tracker,
-)
+from ocp.diagnose.dataset import SEALED, DataSet, blinds, read_data_set, read_sealed, told_beyond
 from ocp.diagnose.document import document_of, json_text
 from ocp.diagnose.engine.channel_system import Channel, ReadingConditions, Sealed, effects_key, needs_motion
 from ocp.diagnose.engine.findings import Alternative, Diagnosis
@@ -50,7 +40,7 @@ from ocp.effects.effect import Active, Effect
 from ocp.effects.patch import PATCH
 from ocp.model.cell import files_of
 from ocp.shell.cache import sha256
-from ocp.shell.output import Output, reserved
+from ocp.shell.output import reserved
 from ocp.shell.processes import cores, interrupts_held_back, nothing, workers
 from ocp.shell.progress import Phases
 from robots.calibration.mistakes import refuse_mistakes
@@ -139,11 +129,6 @@ def write_predictions(path: Path, predicted: tuple[tuple[str, ...], float], seal
 
 
 PREDICTED = {"tracker": (("x_mm", "y_mm", "z_mm"), 1e3), "force": (("fn_N",), 1.0)}
-READERS: dict[str, Callable[[DataSet], Any]] = {
-    "tracker": read_sealed_tracker,
-    "force": read_sealed_force,
-    "joint": read_sealed_joints,
-}
 _CANNOT = re.compile(r"(?P<why>.*): (?P<effect>\w+) cannot be seen")
 
 
@@ -153,7 +138,7 @@ def answer_of(folder: Path, phases: Phases, known: dict[str, Effect] | None = No
     known = library() if known is None else known
     with phases.phase("reading"):
         data = read_data_set(folder, columns)
-        asked = {signal: READERS[signal](data) for signal in data.sealed}
+        asked = {signal: read_sealed(data, signal) for signal in data.sealed}
     channels = channels_of(data, phases)
     with phases.phase("diagnosis"):
         found = diagnose_channels(channels, with_either_sign(known, data.believed))
@@ -204,7 +189,7 @@ def predict_sealed(answer: Answer) -> dict[str, Sealed]:
     """Blind predictions by signal, the effects that are written in the corrected ones, what else may be true in their sigma.
     Raises BadInput: sealed conditions off the blade."""
     found: dict[str, Sealed] = {}
-    data, told = answer.data, answer.diagnosis.alternatives or (Alternative(1.0, answer.diagnosis.active),)
+    told = answer.diagnosis.alternatives or (Alternative(1.0, answer.diagnosis.active),)
     for signal, sealed in answer.asked.items():
         channel = next(c for c in answer.diagnosis.channels if c.name == signal)
         least = 0.0 if signal == "tracker" else FOLLOWED_FORCE
@@ -219,13 +204,7 @@ def predict_sealed(answer: Answer) -> dict[str, Sealed]:
                     raise
         same = effects_key(told[0].active) == effects_key(answer.written)
         written = beside_others(made[0][1] if same else channel.predict(sealed, answer.written), made)
-        found[signal] = replace(written, named=made[0][1].corrected)
-        if signal == "tracker" and data.readings is not None:
-            found[signal] = replace(found[signal], beyond=beyond_measured(data.readings, sealed))
-        if signal == "force" and data.log is not None:
-            found[signal] = replace(found[signal], beyond=beyond_log(data.log, sealed))
-        ignored = tuple(n for n in sealed.notices if "were ignored" in n)
-        found[signal] = replace(found[signal], beyond=(*ignored, *found[signal].beyond))
+        found[signal] = replace(written, named=made[0][1].corrected, beyond=told_beyond(answer.data, signal, sealed))
         if answer.unknown is not None and signal == answer.unknown.after.name:
             found[signal] = beside_unknown(found[signal], answer.unknown, sealed, told)
             if answer.patch is not None:
@@ -277,13 +256,8 @@ def write_diagnosis(folder: Path, out: Path, overwrite: bool, phases: Phases, co
     """
     inputs = [folder, *(files_of(folder / "cell.toml") if (folder / "cell.toml").is_file() else [])]
     inputs += [] if columns is None else [columns]
-    with reserved(out, overwrite, inputs) as output:
-        return _written(folder, output, phases, columns)
-
-
-def _written(folder: Path, output: Output, phases: Phases, columns: Path | None) -> DiagnosisResult:
-    out = output.named
-    with drawn_beside() as draw:
+    with reserved(out, overwrite, inputs) as output, drawn_beside() as draw:
+        out = output.named
         answer = answer_of(folder, phases, columns=columns)
         page = draw(answer, {p.name: sha256(p) for p in answer.data.inputs})
         with phases.phase("predictions"):

@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from ocp.calibrate.tracker import as_calibration
 from ocp.diagnose.dataset import CELL, DataSet
 from ocp.diagnose.engine.channel_system import Channel
+from ocp.diagnose.force.prior import posterior_of
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.diagnose.verdict.answer import Answer
 from ocp.diagnose.verdict.patching import formula_of, is_patch
@@ -144,14 +144,6 @@ def _provenance(channel: Channel) -> dict[str, Any]:
 def _of_arm(channel: Channel, data: DataSet) -> Calibration:
     """Geometry, springs and the base in the tracker, with their joint covariance."""
     assert isinstance(channel, TrackerChannel)
-    fit, readings = channel.fit, channel.readings
-    noise = {"joints_rad": float(fit.noise.joints)}
-    provenance = {"readings": len(readings), "noise": noise, BENDING: channel.task.layout.bending}
-    return as_calibration(
-        data.setup.robot.name,
-        channel.task.layout,
-        fit.state,
-        fit.covariance,
-        int(np.unique(readings.station)[0]),
-        provenance=_provenance(channel) | provenance,
-    )
+    readings = channel.readings
+    told, station = _provenance(channel) | {"readings": len(readings)}, int(np.unique(readings.station)[0])
+    return posterior_of(data.setup.robot.name, channel.task.layout, channel.fit, station, told)

@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -122,11 +123,26 @@ def read_data_set(folder: str | Path, columns: Path | None = None) -> DataSet:
     )
 
 
-def read_sealed_tracker(data: DataSet) -> Readings:
-    """Conditions of sealed_tracker.csv, stations numbered as in tracker.csv. Raises BadInput as the readers."""
+def read_sealed(data: DataSet, signal: str) -> Any:
+    """Conditions of a signal's sealed file, in that signal's own form, a tracker's stations numbered as in tracker.csv. Raises
+    BadInput as the readers."""
+    path = data.sealed[signal]
+    if signal == "force":
+        return read_force_log(path, True, data.mapping)
+    if signal == "joint":
+        return read_joint_log(path, data.mapping, sealed=True)
     assert data.readings is not None
-    sealed = read_readings(data.sealed["tracker"], data.setup.payloads, data.setup.instrument, True, data.mapping)
-    return as_in(sealed, data.readings)
+    return as_in(read_readings(path, data.setup.payloads, data.setup.instrument, True, data.mapping), data.readings)
+
+
+def told_beyond(data: DataSet, signal: str, sealed: Any) -> tuple[str, ...]:
+    """Sentences on sealed conditions of a signal: columns that were ignored, and what lies outside of what was measured."""
+    found = [notice for notice in sealed.notices if "were ignored" in notice]
+    if signal == "tracker" and data.readings is not None:
+        found += beyond_measured(data.readings, sealed)
+    if signal == "force" and data.log is not None:
+        found += beyond_log(data.log, sealed)
+    return tuple(found)
 
 
 def beyond_measured(measured: Readings, sealed: Readings) -> tuple[str, ...]:
@@ -174,16 +190,6 @@ def _outside(file: str, ranges: dict[str, tuple[Array, Array, float]]) -> Iterat
                 f"{file}: {rows} of {len(asked)} rows have {column} outside of what was measured ({seen.min():.4g} to "
                 f"{seen.max():.4g}): what is predicted there continues it"
             )
-
-
-def read_sealed_joints(data: DataSet) -> JointLog:
-    """Conditions of sealed_joints.csv. Raises BadInput as the reader."""
-    return read_joint_log(data.sealed["joint"], data.mapping, sealed=True)
-
-
-def read_sealed_force(data: DataSet) -> ForceLog:
-    """Conditions of sealed_force.csv. Raises BadInput as the reader."""
-    return read_force_log(data.sealed["force"], True, data.mapping)
 
 
 def _believed(tables: CellTables) -> list[str]:

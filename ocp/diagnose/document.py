@@ -6,9 +6,9 @@ from functools import partial
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
-from ocp.diagnose.engine.findings import Diagnosis, Experiment, Location, Name, Ranked
+from ocp.diagnose.engine.findings import Diagnosis, Experiment, Location, Ranked
 from ocp.diagnose.rules import LEAST_BUDGET, LISTED, MOST_BUDGET, MOST_LISTED
 from ocp.diagnose.verdict.answer import Answer, Patched, SignalGap, figures
 from ocp.diagnose.verdict.patching import formula_of
@@ -22,6 +22,7 @@ def rounded(value: float, digits: int = 6) -> float:
 Share = Annotated[float, Field(ge=0.0, le=1.0), AfterValidator(partial(round, ndigits=6))]
 Number = Annotated[float, Field(allow_inf_nan=False), AfterValidator(rounded)]
 Minutes = Annotated[float, Field(allow_inf_nan=False), AfterValidator(partial(rounded, digits=3))]
+Joint = Annotated[Annotated[int, Field(ge=1, le=6)] | None, BeforeValidator(lambda joint: joint or None)]
 Verdict = Literal["explained", "partly", "ambiguous", "unexplained", "no_gap"]
 Subsystem = Literal[
     "joint", "link", "base", "payload", "tool", "tracker", "target", "wheel", "blade", "flange", "sensor", "timing"
@@ -40,7 +41,7 @@ class NamedJson(JsonObject):
 
     effect: str
     """Name in the catalogue."""
-    joint: Annotated[int, Field(ge=1, le=6)] | None
+    joint: Joint
     """Joint that it acts on; null for one of no joint."""
 
 
@@ -95,7 +96,7 @@ class LocationJson(JsonObject):
     """In which readings; null where nothing can be told."""
     subsystem: Subsystem | None
     """Part of the cell."""
-    joint: Annotated[int, Field(ge=1, le=6)] | None
+    joint: Joint
     """The joint, where it is one."""
     depends_on: list[str]
     """Conditions that the gap varies with."""
@@ -265,12 +266,8 @@ def _probabilities(d: Diagnosis) -> dict[str, Any]:
     whole = np.round(np.maximum(shares, 0.0) / max(shares.sum(), 1e-300), 6)
     whole[int(np.argmax(whole))] += 1.0 - whole.sum()
     none, *each = np.round(whole, 6)
-    explained = [{"effects": [_named(n) for n in e.names], "probability": p} for e, p in zip(kept, each, strict=True)]
+    explained = [{"effects": e.names, "probability": p} for e, p in zip(kept, each, strict=True)]
     return {"p_none": none, "p_unknown": d.p_unknown, "explanations": explained}
-
-
-def _named(name: Name) -> dict[str, Any]:
-    return {"effect": name.effect, "joint": name.joint or None}
 
 
 def _rank(r: Ranked) -> dict[str, Any]:
@@ -278,7 +275,7 @@ def _rank(r: Ranked) -> dict[str, Any]:
     sd, values = r.active.deviations, r.active.parameters.items()
     parameters = {key: {"value": _plain(v), "sd": _plain(sd.get(key)), "unit": known.get(key, "")} for key, v in values}
     figures_of = {"probability": r.probability, "log_evidence": r.log_evidence, "detectability": r.detectability}
-    return _named(r.name) | figures_of | {"parameters": parameters}
+    return asdict(r.name) | figures_of | {"parameters": parameters}
 
 
 def _plain(value: Any) -> Any:
@@ -293,18 +290,16 @@ def _location(d: Diagnosis) -> dict[str, Any]:
     empty = {"signal": None, "subsystem": None, "joint": None, "depends_on": (), "segments": ()}
     at = empty if d.location is None else asdict(d.location)
     listed = [b for k, b in enumerate(d.budget) if k < LEAST_BUDGET or b.share > 0][:MOST_BUDGET]
-    return at | {"joint": at["joint"] or None, "budget": listed}
+    return at | {"budget": listed}
 
 
 def _remaining(gap: SignalGap, at: Location | None) -> dict[str, Any]:
-    there = at if at is not None and at.signal == gap.name else None
-    where = None if there is None else asdict(there) | {"joint": there.joint or None, "budget": []}
+    where = None if at is None or at.signal != gap.name else asdict(at) | {"budget": []}
     return {"above_noise": gap.remaining.above_noise, "p_value": gap.remaining.p_value, "location": where}
 
 
 def _gap(gap: SignalGap) -> dict[str, Any]:
-    told = {"unit": gap.unit, "noise_floor": gap.noise_floor, "shrinkage": gap.shrinkage, "promise": gap.promise}
-    told |= {"asked": gap.asked}
+    told = {name: getattr(gap, name) for name in ("unit", "noise_floor", "shrinkage", "promise", "asked")}
     told |= {"before": figures(gap.before), "after": figures(gap.after)}
     return told | {"extrapolation": [{"withheld": name, "shrinkage": value} for name, value in gap.extrapolation]}
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from ocp.api import calibrate, diagnose
-from ocp.diagnose.dataset import read_data_set, read_sealed_tracker
+from ocp.diagnose.dataset import read_data_set, read_sealed
 from robots.errors import BadInput
 from tests.support.diagnosis_folder import write_tracker_folder
 
@@ -27,12 +27,12 @@ def made_by_others(folder, rows=None):
 def test_a_data_set_by_a_mapping_is_the_same_data_set(tmp_path):
     write_tracker_folder(tmp_path / "set", seed=1)
     before = read_data_set(tmp_path / "set")
-    sealed = read_sealed_tracker(before)
+    sealed = read_sealed(before, "tracker")
     mapping = made_by_others(tmp_path / "set")
     after = read_data_set(tmp_path / "set", mapping)
     assert mapping in after.inputs and after.notices == before.notices
     assert np.array_equal(after.readings.point, before.readings.point)
-    assert np.array_equal(read_sealed_tracker(after).q, sealed.q)
+    assert np.array_equal(read_sealed(after, "tracker").q, sealed.q)
 
 
 def test_both_commands_read_by_a_mapping(tmp_path):

@@ -7,7 +7,7 @@ import pytest
 
 from ocp.diagnose.answering import tracker_channel
 from ocp.diagnose.corrected import summed
-from ocp.diagnose.dataset import read_data_set, read_sealed_tracker
+from ocp.diagnose.dataset import read_data_set, read_sealed
 from ocp.diagnose.interface import diagnose
 from ocp.diagnose.joints.channel import joint_channel
 from ocp.effects.catalogue import library
@@ -39,7 +39,7 @@ def test_a_believed_effect_is_in_the_baseline_of_readings_and_predictions(tmp_pa
     data = read_data_set(tmp_path / "a")
     channel = tracker_channel(data)
     assert rms(channel) < 0.04 < 0.1 < rms(ignorant)
-    sealed = read_sealed_tracker(data)
+    sealed = read_sealed(data, "tracker")
     off = [1e3 * np.linalg.norm(c.predict(sealed, ()).baseline - truth, axis=1).mean() for c in (channel, ignorant)]
     assert off[0] < 0.04 < 0.1 < off[1]
     assert any("believes backlash of joint 3" in notice for notice in data.notices)

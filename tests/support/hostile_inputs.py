@@ -21,7 +21,7 @@ from hypothesis import strategies as st
 
 from ocp.calibrate.force.log import LEAST_ROWS, read_force_log
 from ocp.data import BLADE, CELL
-from ocp.diagnose.dataset import read_data_set, read_sealed_force, read_sealed_joints, read_sealed_tracker
+from ocp.diagnose.dataset import read_data_set, read_sealed
 from ocp.diagnose.foresee.design import read_planned_log
 from ocp.diagnose.joints.log import read_joint_log
 from ocp.model.cell import cell_tables_for, files_of, read_cell, read_tracker_setup, wheel_frame
@@ -297,9 +297,8 @@ def _read_summary(folder: Path) -> None:
 
 def _read_data(folder: Path) -> None:
     data = read_data_set(folder)
-    for signal, sealed in (("tracker", read_sealed_tracker), ("force", read_sealed_force), ("joint", read_sealed_joints)):
-        if signal in data.sealed:
-            sealed(data)
+    for signal in data.sealed:
+        read_sealed(data, signal)
 
 
 def _read_old(folder: Path) -> None:
@@ -506,7 +505,7 @@ READERS = (
             "sealed_joints.csv": joint_table(),
         },
         _read_data,
-        ("read_data_set", "read_sealed_tracker", "read_sealed_force", "read_sealed_joints"),
+        ("read_data_set", "read_sealed"),
     ),
 )
 

@@ -12,9 +12,10 @@ over the same points of the blade, that is rather an operator's force ladder tha
 is read off its readings and open in the fit, so an error that is one force over the whole run is not seen there.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -101,10 +102,13 @@ def arm_with_effects(tracker: TrackerChannel, active: Sequence[Active]) -> Calib
     return posterior_of(made.task.campaign.robot.name, made.task.layout, made.fit)
 
 
-def posterior_of(robot: str, layout: Layout, fit: Fit | TrackerFit) -> Calibration:
-    """Geometry and springs of a tracker fit, with their covariance. It says which joints bent, and the noise of the joints."""
-    told = {"noise": {"joints_rad": float(fit.noise.joints)}, BENDING: layout.bending}
-    return as_calibration(robot, layout, fit.state, fit.covariance, provenance=told)
+def posterior_of(
+    robot: str, layout: Layout, fit: Fit | TrackerFit, station: int | None = None, told: Mapping[str, Any] | None = None
+) -> Calibration:
+    """Geometry and springs of a tracker fit, and the base in a station's frame (None: without), with their covariance. It says
+    which joints bent, the noise of the joints, and what else is `told`."""
+    provenance = {**(told or {}), "noise": {"joints_rad": float(fit.noise.joints)}, BENDING: layout.bending}
+    return as_calibration(robot, layout, fit.state, fit.covariance, station, provenance=provenance)
 
 
 def with_setpoints_read_off(log: ForceLog, own: float) -> tuple[ForceLog, str] | None:
