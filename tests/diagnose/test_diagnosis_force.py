@@ -31,7 +31,7 @@ from ocp.diagnose.force.prior import contact_prior, with_setpoints_read_off
 from ocp.diagnose.foresee.patched import beside_unknown, patched, unnamed, with_patch
 from ocp.diagnose.verdict.answer import Patched
 from ocp.diagnose.verdict.diagnosis import diagnose_channels
-from ocp.diagnose.verdict.patching import as_patch, of_reading
+from ocp.diagnose.verdict.patching import as_patch
 from ocp.diagnose.verdict.shrinkage import Shrinkage
 from ocp.effects.catalogue import library
 from ocp.effects.cell_effects import effect_of
@@ -512,7 +512,9 @@ def test_a_force_patch_is_its_kernel(made):
         assert np.abs(left).max() < 1e-6 * np.abs(wanted).max(), kernel.where
     assert held >= {"s", "feed", "setpoint", "belt", "travel", "line", "clock", "wheel_temperature", "s wave"}
     assert held >= {"travel x s", "setpoint x s", "feed x s", "clock x s"}
-    assert of_reading("q6", 0, channel.conditions) == [f"wave {k} q6" for k in (1, 2, 3, 4)]
+    turning = replace(channel.conditions, q=channel.conditions.q + np.linspace(0.0, 1.0, rows)[:, None])
+    of_q6 = next(k for k in kernels(turning) if (k.where, k.source) == ("q6", "reading"))
+    assert of_q6.words(0) == of_q6.words(1) == [f"wave {k} q6" for k in (1, 2, 3, 4)]
     assert not held & {"run", "time", "turn", "time wave", "clock wave", "belt x time"}
     # A further one is of the force or the reading as those are that are there.
     for own in (0, 1):

@@ -9,13 +9,13 @@ import pytest
 
 from ocp.diagnose.engine.beam import Search
 from ocp.diagnose.engine.findings import Alternative, Name, Options
-from ocp.diagnose.engine.kernels import kernels
+from ocp.diagnose.engine.kernels import conditions_by_name, kernels
 from ocp.diagnose.engine.linearisation import linearised
 from ocp.diagnose.foresee.patched import beside_unknown, patched, unnamed, with_patch
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.diagnose.tracker.refit import believed_baseline
 from ocp.diagnose.verdict.diagnosis import diagnose_channels
-from ocp.diagnose.verdict.patching import as_patch, conditions_by_name, patches_of, seen_by
+from ocp.diagnose.verdict.patching import as_patch, patches_of, seen_by
 from ocp.effects.cell_effects import patch_effect_of
 from ocp.effects.engine.readings import displaced, motion
 from ocp.effects.engine.symbolic import planned_arm_context

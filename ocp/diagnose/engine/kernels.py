@@ -8,15 +8,20 @@ effect outside it.
 Kernels of a force log act at the contact, with its friction and not in the air, or on the normal reading alone: how a sensor's
 second axis reads is its own affair. Of waves of time and path, which are of the reading, only those that the log speaks for most
 take part (`ocp.diagnose.force.waves`).
+
+Features are told in the words of patches (`ocp.effects.patch`) wherever one can hold them: what stands for an unknown effect and
+what corrects it are the same functions.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import reduce
 
 import numpy as np
 
 from ocp.diagnose.engine.channel_system import ReadingConditions
 from ocp.diagnose.rules import FORCE_KERNEL, FRAME_KERNEL, JOINT_KERNEL, LEAST_TORQUE, LEAST_TURN, TILT_KERNEL
+from ocp.effects.context import SETTLING
 from ocp.effects.engine.evaluate import left_of_motion
 from robots.pose import Array
 from robots.tracker_readings import Index
@@ -34,21 +39,70 @@ MOST_GROUPS = 12
 CLOCK_WAVES = 12  # of the campaign's clock at most, half waves
 _SCALAR = ("s", "feed", "setpoint", "travel", "belt", "clock", "time", "temperature", "wheel_temperature", "run", "line")
 _TWO = "travel s, travel feed, setpoint s, setpoint clock, setpoint belt, setpoint feed, clock s, belt time, feed s"
+# What a patch calls conditions of a reading; none: it has no such.
+_IN_WORDS = {"clock": "time", "temperature": "warm", "wheel_temperature": "wheel", "time": "", "run": ""}
+
+Words = Sequence[str]
+"""Features of one variant, as a patch has them."""
+Conditions = Mapping[str, Array]
+"""Of n readings (n,), by their names in words."""
+
+
+@dataclass(frozen=True)
+class Orders:
+    """Cosine and sine of an angle, a variant for each of its orders (V,) per turn, times the factor `by`, in words."""
+
+    angle: str
+    orders: Array
+    by: str = ""
+
+    def words(self, variant: int) -> Words:
+        """Of one order."""
+        return turns(self.angle, float(self.orders[variant]), self.by)
+
+    def numbers(self, x: Conditions) -> Array:
+        """Of all orders (n, V, 2)."""
+        phase = self.orders * x[self.angle][:, None]
+        both = np.stack([np.cos(phase), np.sin(phase)], axis=2)
+        return in_numbers([self.by], x)[:, :, None] * both if self.by else both
 
 
 @dataclass(frozen=True)
 class Kernel:
-    """Features (n, V, m) of unit size in gap units (k components): changes (n, k, V, m) SI; where: the condition; source:
-    joint, axis, frame, beam or reading; joint (0: none); typical low and high of its size, SI; among: of how many variants these
-    are the most telling, 0: they are all there are."""
+    """What varies with the condition `where`; source: joint, axis, frame, beam or reading; joint (0: none); ways (n, k, d) in
+    which it enters k components of a gap: variants of it, as are its features of unit size, in words or as numbers (n, V, m);
+    typical low and high of its size, SI; x: conditions; among: of how many variants these are the most telling, 0: they are all
+    there are; told: numbers in words."""
 
     where: str
     source: str
     joint: int
-    changes: Array
+    ways: Sequence[Array]
+    features: Sequence[Words] | Orders | Array
     low: float
     high: float
+    x: Conditions
     among: int = 0
+    told: Sequence[Words] = ()
+
+    def words(self, variant: int) -> Words:
+        """Features of a variant as a patch has them; none where it cannot hold them."""
+        every = self.told if isinstance(self.features, np.ndarray) else self.features
+        if isinstance(every, Orders):
+            return every.words(variant)
+        return every[variant if len(every) > 1 else 0] if len(every) else ()
+
+    @property
+    def changes(self) -> Array:
+        """Of the gap (n, k, variants, m) SI: every direction of a way with every feature."""
+        f = self.features
+        if isinstance(f, Orders):
+            f = f.numbers(self.x)
+        elif not isinstance(f, np.ndarray):
+            f = np.stack([in_numbers(words, self.x) for words in f], axis=1)
+        n, V, _ = f.shape
+        each = [(way[:, :, None, :, None] * f[:, None, :, None]).reshape(n, way.shape[1], V, -1) for way in self.ways]
+        return np.concatenate(each, axis=2)
 
 
 def is_periodic(where: str) -> bool:
@@ -58,176 +112,255 @@ def is_periodic(where: str) -> bool:
 
 def kernels(c: ReadingConditions) -> Iterator[Kernel]:
     """All kernels that the conditions allow."""
+    x = _conditions(c)
     if c.d_joints is not None:
         for j in range(6):
             if np.ptp(c.q[:, j]) > LEAST_TURN or c.signal != "tracker":
                 for where, features in _of_joint(c, j):
-                    changes = c.d_joints[:, :, j, None, None] * features[:, None]
-                    yield Kernel(where, "joint", j + 1, changes, *JOINT_KERNEL)
+                    yield Kernel(where, "joint", j + 1, [c.d_joints[:, :, j, None]], features, *JOINT_KERNEL, x)
                 if c.d_tilts is not None:
-                    yield from _of_axis(c, c.d_tilts[:, :, j], j)
+                    yield from _of_axis(c, x, c.d_tilts[:, :, j], j)
     n, k = c.q.shape[0], 3 if c.d_joints is None else c.d_joints.shape[1]
     if c.signal == "tracker":
         still = np.broadcast_to(np.eye(3), (n, 3, 3))
-        for where, features in _of_frame(c):
-            yield Kernel(where, "frame", 0, _each(still, features)[:, :, None], *FRAME_KERNEL)
-            if c.point is not None and where in ("time", "temperature"):
+        for where, word in reversed(_slow(c)):
+            yield Kernel(where, "frame", 0, [still], [half_waves(word, 3)], *FRAME_KERNEL, x)
+            if c.point is not None:
                 # What grows about a point, wherever that is: the arm, the air's index, the floor.
                 grown = np.concatenate([still, unit(c.point)[:, :, None]], axis=2)
-                yield Kernel(f"range x {where}", "frame", 0, _each(grown, features[:, :2])[:, :, None], *FRAME_KERNEL)
-        yield from _of_nests(c)
+                yield Kernel(f"range x {where}", "frame", 0, [grown], smooth(x[word], 2)[:, None], *FRAME_KERNEL, x)
+        for where, index in (("payload", c.payload), ("session", c.session)):
+            indicator = groups(index)
+            if indicator is not None:
+                yield Kernel(where, "frame", 0, [still], indicator[:, None], *FRAME_KERNEL, x)
+        time, nests = _time(c), groups(c.target, centred=False)
+        if time is not None and nests is not None and np.ptp(time) > 0:  # one nest moves, sooner or later
+            instants = np.quantile(time, np.arange(1, INSTANTS + 1) / (INSTANTS + 1))
+            moved = np.stack([nest * (time > at) for nest in nests.T for at in instants], axis=1)
+            yield Kernel("target x time", "frame", 0, [still], moved[:, :, None], *FRAME_KERNEL, x)
         if c.point is not None:
-            yield from _of_beam(c, c.point)
-            if c.sight is not None:
-                yield _of_sight(c.point, c.sight)
+            yield from _of_beam(c, x, c.point)
     elif c.signal == "force":
-        for where, features, among in _of_reading(c):
-            changes = np.zeros((n, k, *features.shape[1:]))
-            changes[:, 0] = features
-            if not among and c.pressed is not None:  # what comes by the contact: nothing in the air, and with its friction
-                changes = np.concatenate([c.pressed[:, :, None, None] * features[:, None], changes], axis=2)
-            yield Kernel(where, "reading", 0, changes, *FORCE_KERNEL, among)
+        alone = np.broadcast_to(np.eye(k)[:, :1], (n, k, 1))
+        for where, features, told, among in _of_reading(c):
+            # What comes by the contact: nothing in the air, and with its friction.
+            ways = [c.pressed[:, :, None], alone] if not among and c.pressed is not None else [alone]
+            yield Kernel(where, "reading", 0, ways, features, *FORCE_KERNEL, x, among, told)
 
 
-def _of_joint(c: ReadingConditions, j: int) -> Iterator[tuple[str, Array]]:
-    """Features (n, V, m) of joint j (0..5), by what they vary with."""
-    name, q = j + 1, c.q[:, j]
-    tau = c.tau[:, j] if c.tau is not None and np.ptp(c.tau[:, j]) > LEAST_TORQUE else None
-    yield f"q{name}", smooth(q)[:, None]
-    yield f"ripple{name}", _of_orders(RIPPLES * q[:, None])
+def _of_joint(c: ReadingConditions, j: int) -> Iterator[tuple[str, Sequence[Words] | Orders | Array]]:
+    """Features of joint j (0..5), by what they vary with."""
+    name, tracker = j + 1, c.signal == "tracker"
+    q, tau, sign = f"q{name}", f"tau{name}", f"approach{name}"
+    loaded = c.tau is not None and np.ptp(c.tau[:, j]) > LEAST_TORQUE
+    yield q, [half_waves(q, SMOOTH)]
+    yield f"ripple{name}", Orders(q, RIPPLES)
     if c.approach is not None and np.ptp(c.approach[:, j]) > 0:
-        sign = c.approach[:, j]
-        turns = np.stack([np.column_stack([np.ones(len(q)), np.cos(k * q), np.sin(k * q)]) for k in (1, 2)], axis=1)
-        yield f"approach{name}", sign[:, None, None] * turns
-        if tau is not None:
-            yield f"approach{name} x tau{name}", (sign[:, None] * _powers(tau))[:, None]
-        if c.signal == "tracker" and c.waited is not None:
-            yield f"approach{name} x wait", (sign[:, None] * left_of_motion(c.waited))[:, None]
-        if c.signal == "tracker" and c.moved is not None:
+        yield sign, [[sign, *turns(q, k, sign)] for k in (1, 2)]
+        if loaded:
+            yield f"{sign} x {tau}", [times([sign], powers(tau, 3))]
+        if tracker and c.waited is not None:
+            yield f"{sign} x wait", [times([sign], [f"settling{seconds:.0f}" for seconds in SETTLING])]
+        if tracker and c.moved is not None:
             yield f"step{name}", smooth(c.moved[:, j], 5)[:, None]
     ratios = c.gear_ratio[j] if c.gear_ratio is not None else ()
     if len(ratios):
-        yield f"motor{name}", _of_orders(np.outer(q, np.outer(ratios, np.arange(1, MOTOR_WAVES + 1)).ravel()))
-    if tau is not None:
-        yield f"tau{name}", smooth(tau, 3)[:, None]
-        if c.signal == "tracker":
-            yield f"tau{name} x ripple{name}", unit(tau)[:, None, None] * _of_orders(LOADED * q[:, None])
+        yield f"motor{name}", Orders(q, np.outer(ratios, np.arange(1, MOTOR_WAVES + 1)).ravel())
+    if loaded:
+        yield tau, [half_waves(tau, 3)]
+        if tracker:
+            yield f"{tau} x ripple{name}", Orders(q, LOADED, *powers(tau, 1))
     for i in range(6):
         if i != j and np.ptp(c.q[:, i]) > LEAST_TURN:
-            yield f"q{name} x q{i + 1}", np.stack([waves_of_two(q, c.q[:, i], *k) for k in ORDERS_OF_TWO], axis=1)
-            if c.signal == "tracker":
-                yield f"q{i + 1}", smooth(c.q[:, i], 3)[:, None]
-    for where, values in (("temperature", c.temperature), ("time", _time(c))):
-        if values is not None and np.ptp(values) > 0:
-            yield f"{where}{name}", smooth(values, 3)[:, None]
-            if c.signal == "tracker":
-                yield f"{where} x q{name}", products(smooth(values, 2), waves(q))[:, None]
-                if tau is not None:
-                    yield f"{where} x tau{name}", products(smooth(values, 2), _powers(tau)[:, :2])[:, None]
-    indicator = groups(c.payload)
-    if indicator is not None:
-        yield f"payload{name}", indicator[:, None]
-        if c.signal == "tracker":
-            yield f"payload x q{name}", products(indicator, waves(q))[:, None]
+            other = f"q{i + 1}"
+            yield f"{q} x {other}", [times(turns(q, a), turns(other, b)) for a, b in ORDERS_OF_TWO]
+            if tracker:
+                yield other, [half_waves(other, 3)]
+    for where, word in _slow(c):
+        yield f"{where}{name}", [half_waves(word, 3)]
+        if tracker:
+            yield f"{where} x {q}", [times(half_waves(word, 2), turns(q, 1))]
+            if loaded:
+                yield f"{where} x {tau}", [times(half_waves(word, 2), powers(tau, 2))]
+    if hung := payload_words(c):
+        yield f"payload{name}", [hung]
+        if tracker:
+            yield f"payload x {q}", [times(hung, turns(q, 1))]
 
 
-def _of_axis(c: ReadingConditions, d_tilt: Array, j: int) -> Iterator[Kernel]:
+def _of_axis(c: ReadingConditions, x: Conditions, d_tilt: Array, j: int) -> Iterator[Kernel]:
     """Tilts of the axis of joint j about the two directions across it, d_tilt (n, k, 4): as it turns (bearings, a base plate that
     is not flat; directions that stand still in the link before), with the weight's moment across it, with warmth, time and
     payload (directions that stand still, or turn with the joint)."""
     name = j + 1
     still, turning = d_tilt[:, :, :2], d_tilt[:, :, 2:]
-    yield Kernel(f"q{name}", "axis", name, _each(still, smooth(c.q[:, j], TILTED))[:, :, None], *JOINT_KERNEL)
+    yield Kernel(f"q{name}", "axis", name, [still], [half_waves(f"q{name}", TILTED)], *JOINT_KERNEL, x)
     if c.moments is not None and np.ptp(c.moments[:, j]) > LEAST_TORQUE:
-        yield Kernel(f"moment{name}", "axis", name, _each(still, unit(c.moments[:, j]))[:, :, None], *TILT_KERNEL)
-    slow = (("temperature", c.temperature), ("time", _time(c)))
-    varying = [(where, smooth(values, 2)) for where, values in slow if values is not None and np.ptp(values) > 0]
-    indicator = groups(c.payload)
-    for where, features in varying + ([("payload", indicator)] if indicator is not None else []):
-        changes = np.stack([_each(d, features) for d in (still, turning)], axis=2)
-        yield Kernel(f"{where}{name}", "axis", name, changes, *TILT_KERNEL)
+        both, told = unit(c.moments[:, j])[:, None], [[*powers(f"mx{name}", 1), *powers(f"my{name}", 1)]]
+        yield Kernel(f"moment{name}", "axis", name, [still], both, *TILT_KERNEL, x, told=told)
+    for where, words in [*((where, half_waves(word, 2)) for where, word in _slow(c)), ("payload", payload_words(c))]:
+        if words:
+            yield Kernel(f"{where}{name}", "axis", name, [still, turning], [words], *TILT_KERNEL, x)
 
 
-def _of_beam(c: ReadingConditions, point: Array) -> Iterator[Kernel]:
+def _of_beam(c: ReadingConditions, x: Conditions, point: Array) -> Iterator[Kernel]:
     """The instrument's own errors at points (n, 3) m in its frame: along the beam or across it, each a function of range,
-    azimuth or elevation, or of one of these and of temperature or time; angles show with the distance, here over its mean."""
-    flat = np.linalg.norm(point[:, :2], axis=1)
-    distance = np.linalg.norm(point, axis=1)
+    azimuth or elevation, or of one of these and of temperature or time; angles show with the distance, here over its mean.
+
+    And reflectors that are no perfect balls: errors along the beam that vary with the direction from which a reflector is seen,
+    in the axes of the link that carries it, to second order."""
+    flat, distance = np.linalg.norm(point[:, :2], axis=1), np.linalg.norm(point, axis=1)
     along = point / distance[:, None]
     aside = np.column_stack([-point[:, 1], point[:, 0], np.zeros(len(point))]) / flat[:, None]
     upward = np.cross(along, aside)
     directions = along, aside * (flat / flat.mean())[:, None], upward * (distance / distance.mean())[:, None]
-    turned = np.arctan2(point[:, 1], point[:, 0])
-    middle = np.arctan2(np.sin(turned).mean(), np.cos(turned).mean())
-    azimuth = np.angle(np.exp(1j * (turned - middle)))
-    for where, values in zip(BEAM, (distance, azimuth, np.arctan2(point[:, 2], flat)), strict=True):
-        seen = {where: smooth(values, 4)}
-        for slow, course in (("temperature", c.temperature), ("time", _time(c))):
-            if course is not None and np.ptp(course) > 0:
-                seen[f"{where} x {slow}"] = products(unit(values)[:, None], smooth(course, 2))
-        for condition, features in seen.items():
-            changes = np.stack([d[:, :, None] * features[:, None] for d in directions], axis=2)
-            yield Kernel(condition, "beam", 0, changes, *FRAME_KERNEL)
+    ways = [d[:, :, None] for d in directions]
+    for where in BEAM:
+        yield Kernel(where, "beam", 0, ways, [half_waves(where, 4)], *FRAME_KERNEL, x)
+        for slow, word in _slow(c):
+            words = times(powers(where, 1), half_waves(word, 2))
+            yield Kernel(f"{where} x {slow}", "beam", 0, ways, [words], *FRAME_KERNEL, x)
+    if c.sight is not None:
+        a, b, z = c.sight.T
+        seen = np.column_stack([c.sight, a * b, b * z, z * a, a * a - b * b, 3 * z * z - 1.0])
+        yield Kernel("sight", "beam", 0, ways[:1], seen[:, None], *FRAME_KERNEL, x)
 
 
-def _of_sight(point: Array, sight: Array) -> Kernel:
-    """Reflectors that are no perfect balls: errors along the beam that vary with the direction (n, 3) from which a reflector is
-    seen, in the axes of the link that carries it, to second order."""
-    along = point / np.linalg.norm(point, axis=1, keepdims=True)
-    x, y, z = sight.T
-    features = np.column_stack([sight, x * y, y * z, z * x, x * x - y * y, 3 * z * z - 1.0])
-    return Kernel("sight", "beam", 0, _each(along[:, :, None], features)[:, :, None], *FRAME_KERNEL)
+def _of_reading(c: ReadingConditions) -> Iterator[tuple[str, Array, Sequence[Words], int]]:
+    """Features (n, V, m) of the normal reading by their condition, all that the conditions of a force log allow, and in words;
+    among how many variants these are the most telling, 0: they are all there are."""
+    for where in _SCALAR:
+        if one := _of_one(c, where):
+            yield where, one[0][:, None], [one[1]], 0
+    for first, second in map(str.split, _TWO.split(", ")):
+        a, b = _of_one(c, first, 2), _of_one(c, second, 3)
+        if a and b:
+            yield f"{first} x {second}", products(a[0], b[0])[:, None], [times(a[1], b[1])], 0
+    for j in range(6):
+        if np.ptp(c.q[:, j]) > LEAST_TURN:
+            yield f"q{j + 1}", smooth(c.q[:, j], 4)[:, None], [half_waves(f"q{j + 1}", 4)], 0
+    if c.clock is not None and c.run is not None and len(np.unique(c.run)) > 4:
+        phase = np.pi * (c.clock - c.clock.min()) / max(float(np.ptp(c.clock)), 1e-9)
+        yield "clock wave", np.stack([waves(k * phase) for k in range(3, 3 + CLOCK_WAVES)], axis=1), (), 0
+    for where in dict.fromkeys(w.where for w in c.waves):
+        picked = [w for w in c.waves if w.where == where]
+        by, told = "travel" if where.endswith("travel") else "", list[Words]()
+        for w in picked if where.startswith("s ") else ():
+            tones = np.arange(1, w.columns.shape[1] // 2 + 1)
+            told.append([word for tone in tones for word in turns("s", 2.0 * np.pi * tone * w.number, by)])
+        yield where, np.stack([w.columns for w in picked], axis=1), told, picked[0].among
 
 
-def _of_frame(c: ReadingConditions) -> Iterator[tuple[str, Array]]:
-    """Features (n, m) of a displacement common to all directions of the frame."""
-    for where, values in (("time", _time(c)), ("temperature", c.temperature)):
-        if values is not None and np.ptp(values) > 0:
-            yield where, smooth(values, 3)
-    for where, index in (("payload", c.payload), ("session", c.session)):
-        indicator = groups(index)
-        if indicator is not None:
-            yield where, indicator
+def _of_one(c: ReadingConditions, where: str, count: int = 3) -> tuple[Array, Words] | None:
+    """Features (n, m) of one condition, and in words, None where it is not known or does not vary."""
+    values, word = getattr(c, where), _IN_WORDS.get(where, where)
+    if values is None or np.ptp(values) == 0:
+        return None
+    if where in ("run", "line", "travel"):
+        indicator = groups(values)
+        told = [f"line {k}" for k in lesser(values)] if where == "line" else [word] if word else []
+        return None if indicator is None or indicator.shape[1] > MOST_GROUPS else (indicator, told)
+    count = SMOOTH if where == "s" and count == 3 else count
+    return smooth(values, count), half_waves(word, count) if word else []
 
 
-def _of_nests(c: ReadingConditions) -> Iterator[Kernel]:
-    """One nest moves, sooner or later: each nest and instant a variant."""
-    time, nests = _time(c), groups(c.target, centred=False)
-    if time is not None and nests is not None and np.ptp(time) > 0:
-        still = np.broadcast_to(np.eye(3), (len(time), 3, 3))
-        instants = np.quantile(time, np.arange(1, INSTANTS + 1) / (INSTANTS + 1))
-        moved = [nest * (time > at) for nest in nests.T for at in instants]
-        changes = np.stack([_each(still, one[:, None]) for one in moved], axis=2)
-        yield Kernel("target x time", "frame", 0, changes, *FRAME_KERNEL)
+def _slow(c: ReadingConditions) -> list[tuple[str, str]]:
+    """Temperature and time, where they vary, by their names and in words."""
+    courses = ("temperature", "warm", c.temperature), ("time", "time", _time(c))
+    return [(where, word) for where, word, values in courses if values is not None and np.ptp(values) > 0]
 
 
 def _time(c: ReadingConditions) -> Array | None:
     return c.clock if c.clock is not None else c.time
 
 
-def _of_orders(phase: Array) -> Array:
-    """Cosine and sine (n, V, 2) of phases (n, V)."""
-    return np.stack([np.cos(phase), np.sin(phase)], axis=2)
+def payload_words(c: ReadingConditions) -> list[str]:
+    """Indicators of all payloads that were measured but the commonest."""
+    return [] if c.payload is None else [f"is {c.payloads[k]}" for k in lesser(c.payload)]
 
 
-def _powers(values: Array) -> Array:
-    """First to third power (n, 3) of values over their largest size."""
-    x = unit(values)
-    return np.column_stack([x, x**2, x**3])
+def half_waves(name: str, count: int) -> list[str]:
+    """Smooth features over a condition's range."""
+    return [f"wave {k} {name}" for k in range(1, count + 1)]
 
 
-def _each(directions: Array, features: Array) -> Array:
-    """Every direction (n, k, d) with every feature (n, m): (n, k, d m)."""
-    n, k, _ = directions.shape
-    return np.asarray((directions[:, :, :, None] * features[:, None, None, :]).reshape(n, k, -1))
+def powers(name: str, count: int) -> list[str]:
+    """First and further powers of a condition over its largest size."""
+    return [f"power {k} {name}" for k in range(1, count + 1)]
 
 
-def smooth(values: Array, count: int = SMOOTH) -> Array:
+def turns(name: str, order: float, by: str = "") -> list[str]:
+    """Cosine and sine of an angle, times a factor."""
+    return [f"{by} * {form} {order:.10g} {name}" if by else f"{form} {order:.10g} {name}" for form in ("cos", "sin")]
+
+
+def times(first: Words, second: Words) -> list[str]:
+    """Each of the first times each of the second."""
+    return [f"{a} * {b}" for a in first for b in second]
+
+
+def in_numbers(words: Words, x: Conditions) -> Array:
+    """Features (n, m) of conditions."""
+    return np.column_stack([reduce(np.multiply, [_factor(text, x) for text in word.split(" * ")]) for word in words])
+
+
+def _factor(text: str, x: Conditions) -> Array:
+    """One factor (n,) of a feature."""
+    if text in x:
+        return x[text]
+    form, number, name = text.split(" ")
+    k, values = float(number), x[name]
+    if form == "wave":
+        return smooth_wave(values, k)
+    return np.asarray(unit(values) ** k if form == "power" else getattr(np, form)(k * values))
+
+
+def _conditions(c: ReadingConditions) -> dict[str, Array]:
+    """Conditions as kernels vary with them: of patches, signs of approach, payloads about their means."""
+    found = conditions_by_name(c, middle=0.0 if c.point is None else middle_of(c.point))
+    found |= {} if c.approach is None else {f"approach{j + 1}": c.approach[:, j] for j in range(6)}
+    time, indicator = _time(c), groups(c.payload)
+    found |= {} if time is None else {"time": time}
+    return found if indicator is None else found | dict(zip(payload_words(c), indicator.T, strict=True))
+
+
+def middle_of(point: Array) -> float:
+    """Mean azimuth rad of points (n, 3)."""
+    turned = np.arctan2(point[:, 1], point[:, 0])
+    return float(np.arctan2(np.sin(turned).mean(), np.cos(turned).mean()))
+
+
+def conditions_by_name(c: ReadingConditions, reference: float = 0.0, middle: float = 0.0) -> dict[str, Array]:
+    """Conditions (n,) of readings as patches call them; reference temperature deg C, middle azimuth rad."""
+    found = {f"q{j + 1}": c.q[:, j] for j in range(6)}
+    found |= {name: v for name in ("s", "feed", "setpoint", "belt") if (v := getattr(c, name)) is not None}
+    found |= {} if c.wheel_temperature is None else {"wheel": c.wheel_temperature - reference}
+    found |= {} if c.line is None else {"line": c.line.astype(float)}
+    if c.tau is not None:
+        found |= {f"tau{j + 1}": c.tau[:, j] for j in range(6)}
+    if c.moments is not None:
+        found |= {f"m{axis}{j + 1}": c.moments[:, j, k] for j in range(6) for k, axis in enumerate("xy")}
+    found |= {} if c.temperature is None else {"warm": c.temperature - reference}
+    found |= {} if c.clock is None else {"time": c.clock}
+    if c.waited is not None:
+        found |= {f"settling{s:.0f}": left for s, left in zip(SETTLING, left_of_motion(c.waited).T, strict=True)}
+    if c.point is not None:
+        turned = np.arctan2(c.point[:, 1], c.point[:, 0]) - middle
+        flat = np.linalg.norm(c.point[:, :2], axis=1)
+        found |= {"range": np.linalg.norm(c.point, axis=1), "azimuth": np.arctan2(np.sin(turned), np.cos(turned))}
+        found |= {"elevation": np.arctan2(c.point[:, 2], flat)}
+    return found
+
+
+def smooth(values: Array, count: int) -> Array:
     """Cosines (n, count) over the range of values, falling with their wave number; the constant is left out."""
-    span = float(np.ptp(values)) or 1.0
-    x = (values - values.min()) / span
-    k = np.arange(1, count + 1)
-    return np.asarray(np.cos(np.pi * k * x[:, None]) / (1.0 + (k / SOFT) ** 2))
+    return smooth_wave(values[:, None], np.arange(1.0, count + 1.0))
+
+
+def smooth_wave(values: Array, k: Array | float) -> Array:
+    """Cosines of k half waves over the range of values."""
+    x = (values - values.min()) / (float(np.ptp(values)) or 1.0)
+    return np.asarray(np.cos(np.pi * k * x) / (1.0 + (k / SOFT) ** 2))
 
 
 def waves(angle: Array) -> Array:
@@ -245,51 +378,15 @@ def products(one: Array, other: Array) -> Array:
     return np.asarray((one[:, :, None] * other[:, None, :]).reshape(len(one), -1))
 
 
-def waves_of_two(q: Array, other: Array, a: int, b: int) -> Array:
-    """Waves (n, 4) of two angles, a per turn of the first times b per turn of the second."""
-    return products(waves(a * q), waves(b * other))
+def lesser(index: Array | Index) -> Array:
+    """All groups but the largest."""
+    kinds, counts = np.unique(index, return_counts=True)
+    return np.asarray(np.delete(kinds, np.argmax(counts)))
 
 
 def groups(index: Array | Index | None, centred: bool = True) -> Array | None:
-    """Indicators (n, g - 1) of all groups but the largest, or None where there is one group; centred about their means."""
-    if index is None:
+    """Indicators (n, g - 1) of all groups but the largest about their means, or (n, g) as they are; None where there is one."""
+    if index is None or len(kinds := np.unique(index)) < 2:
         return None
-    kinds, counts = np.unique(index, return_counts=True)
-    if len(kinds) < 2:
-        return None
-    kept = np.delete(kinds, np.argmax(counts)) if centred else kinds
-    indicator = (np.asarray(index)[:, None] == kept).astype(float)
+    indicator = (np.asarray(index)[:, None] == (lesser(index) if centred else kinds)).astype(float)
     return indicator - indicator.mean(axis=0) if centred else indicator
-
-
-def _of_reading(c: ReadingConditions) -> Iterator[tuple[str, Array, int]]:
-    """Features (n, V, m) of the normal reading by their condition, all that the conditions of a force log allow; among how many
-    variants these are the most telling, 0: they are all there are."""
-    for where in _SCALAR:
-        one = _of_one(c, where)
-        if one is not None:
-            yield where, one[:, None], 0
-    for first, second in map(str.split, _TWO.split(", ")):
-        a, b = _of_one(c, first, 2), _of_one(c, second, 3)
-        if a is not None and b is not None:
-            yield f"{first} x {second}", products(a, b)[:, None], 0
-    for j in range(6):
-        if np.ptp(c.q[:, j]) > LEAST_TURN:
-            yield f"q{j + 1}", smooth(c.q[:, j], 4)[:, None], 0
-    if c.clock is not None and c.run is not None and len(np.unique(c.run)) > 4:
-        phase = np.pi * (c.clock - c.clock.min()) / max(float(np.ptp(c.clock)), 1e-9)
-        yield "clock wave", np.stack([waves(k * phase) for k in range(3, 3 + CLOCK_WAVES)], axis=1), 0
-    for where in dict.fromkeys(w.where for w in c.waves):
-        picked = [w for w in c.waves if w.where == where]
-        yield where, np.stack([w.columns for w in picked], axis=1), picked[0].among
-
-
-def _of_one(c: ReadingConditions, where: str, count: int = 3) -> Array | None:
-    """Features (n, m) of one condition, None where it is not known or does not vary."""
-    values = getattr(c, where)
-    if values is None or np.ptp(values) == 0:
-        return None
-    if where in ("run", "line", "travel"):
-        indicator = groups(values)
-        return indicator if indicator is not None and indicator.shape[1] <= MOST_GROUPS else None
-    return smooth(values, SMOOTH if where == "s" and count == 3 else count)

@@ -13,13 +13,14 @@ from numpy.typing import NDArray
 
 from ocp.diagnose.engine.channel_system import Channel, Scattering, Sealed, effects_key
 from ocp.diagnose.engine.findings import Alternative, Diagnosis, Options
+from ocp.diagnose.engine.kernels import conditions_by_name
 from ocp.diagnose.foresee.anticipated import modelled
 from ocp.diagnose.foresee.planned_tracker import channel_about
 from ocp.diagnose.rules import CARRIED_PATCH, LEADS
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.diagnose.verdict.answer import Patched, Unnamed
 from ocp.diagnose.verdict.doubts import errors_of_folds
-from ocp.diagnose.verdict.patching import conditions_by_name, is_patch, read_beside, unfaded, with_further
+from ocp.diagnose.verdict.patching import is_patch, read_beside, unfaded, with_further
 from ocp.diagnose.verdict.shrinkage import Shrinkage
 from ocp.effects.effect import Active
 from ocp.effects.engine.readings import displaced, has_columns, motion

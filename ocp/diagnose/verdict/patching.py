@@ -16,133 +16,14 @@ from ocp.diagnose.engine.beam import Search
 from ocp.diagnose.engine.channel_system import Channel, Patchable, ReadingConditions
 from ocp.diagnose.engine.evidence import stack
 from ocp.diagnose.engine.findings import Alternative, Name, Options
-from ocp.diagnose.engine.kernels import LOADED, MOTOR_WAVES, ORDERS_OF_TWO, RIPPLES, SMOOTH, is_periodic
+from ocp.diagnose.engine.kernels import conditions_by_name, is_periodic, kernels, middle_of
 from ocp.diagnose.engine.linearisation import Linearisation, kernel_families
 from ocp.diagnose.engine.pool import given, make_pool, scan
-from ocp.effects.context import SETTLING
 from ocp.effects.effect import Active, Effect
-from ocp.effects.engine.evaluate import left_of_motion
 from ocp.effects.patch import ON_ARM, ON_BEAM, ON_CONTACT, PATCH, conditions_of, make_patch
 from robots.errors import Infeasible
-from robots.pose import Array
 
 MOST_TERMS = 4  # of a formula that are told
-
-
-def waves_over(name: str, count: int) -> list[str]:
-    """Smooth features over a condition's range."""
-    return [f"wave {k} {name}" for k in range(1, count + 1)]
-
-
-def turns_of(name: str, order: float, by: str = "") -> list[str]:
-    """Cosine and sine of an angle, times a factor."""
-    return [f"{by} * {form} {order:.10g} {name}" if by else f"{form} {order:.10g} {name}" for form in ("cos", "sin")]
-
-
-def times(first: Sequence[str], second: Sequence[str]) -> list[str]:
-    """Each of the first times each of the second."""
-    return [f"{a} * {b}" for a in first for b in second]
-
-
-def payload_features(c: ReadingConditions) -> list[str]:
-    """Indicators of all payloads that were measured but the commonest."""
-    if c.payload is None:
-        return []
-    kinds, counts = np.unique(c.payload, return_counts=True)
-    return [f"is {c.payloads[k]}" for k in np.delete(kinds, np.argmax(counts))]
-
-
-def of_joint(where: str, j: int, variant: int, c: ReadingConditions) -> list[str] | None:
-    """Features of a turn of joint j by what it varies with, as `ocp.diagnose.engine.kernels` has them; None where a moving arm
-    has no such condition."""
-    q, tau, sign = f"q{j}", f"tau{j}", f"approach{j}"
-    one, _, other = where.partition(" x ")
-    stem = one.rstrip("123456")
-    if stem == "step":
-        return None
-    if stem == "approach":
-        if other == "wait":
-            return [f"{sign} * settling{seconds:.0f}" for seconds in SETTLING]
-        if other:
-            return [f"{sign} * power {k} {tau}" for k in (1, 2, 3)]
-        return [sign, *turns_of(q, variant + 1, sign)]
-    if stem in ("ripple", "motor"):
-        ratios = c.gear_ratio[j - 1] if c.gear_ratio is not None else ()
-        orders = RIPPLES if stem == "ripple" else np.outer(ratios, np.arange(1, MOTOR_WAVES + 1)).ravel()
-        return turns_of(q, float(orders[variant]))
-    if stem == "tau":
-        return turns_of(q, float(LOADED[variant]), f"power 1 {tau}") if other else waves_over(tau, 3)
-    if stem == "q":
-        if other:
-            a, b = ORDERS_OF_TWO[variant]
-            return times(turns_of(q, a), turns_of(other, b))
-        return waves_over(one, 7 if one == q else 3)
-    if stem == "payload":
-        return times(payload_features(c), turns_of(q, 1)) if other else payload_features(c)
-    slow = "warm" if stem == "temperature" else "time"
-    if not other:
-        return waves_over(slow, 3)
-    return times(waves_over(slow, 2), turns_of(q, 1) if other == q else [f"power {k} {tau}" for k in (1, 2)])
-
-
-def of_axis(where: str, j: int, c: ReadingConditions) -> list[str]:
-    """Features of a tilt of the axis of joint j."""
-    stem = where.rstrip("123456")
-    if stem == "q":
-        return waves_over(f"q{j}", 5)
-    if stem == "moment":
-        return [f"power 1 mx{j}", f"power 1 my{j}"]
-    return payload_features(c) if stem == "payload" else waves_over("warm" if stem == "temperature" else "time", 2)
-
-
-def of_reading(where: str, variant: int, c: ReadingConditions) -> list[str] | None:
-    """Features of a force reading by what it varies with; None where no program has such a condition: time since a recording
-    began, the wheel's turn, single recordings."""
-    if where.startswith(("s wave", "s period")):
-        wave = [w for w in c.waves if w.where == where][variant]
-        tones = np.arange(1, wave.columns.shape[1] // 2 + 1)
-        by = "travel" if where.endswith("travel") else ""
-        return [name for tone in tones for name in turns_of("s", 2.0 * np.pi * tone * wave.number, by)]
-    first, _, second = where.partition(" x ")
-    most = {"s": SMOOTH}
-    if not second:
-        return grinding_features(first, most.get(first, 4 if first[0] == "q" else 3), c)
-    one, other = grinding_features(first, 2, c), grinding_features(second, most.get(second, 3), c)
-    return None if one is None or other is None else times(one, other)
-
-
-def grinding_features(condition: str, count: int, c: ReadingConditions) -> list[str] | None:
-    """Features of one condition of grinding."""
-    if condition == "travel":
-        return ["travel"]
-    if condition == "line" and c.line is not None:
-        kinds, counts = np.unique(c.line, return_counts=True)
-        return [f"line {k}" for k in np.delete(kinds, np.argmax(counts))]
-    name = {"clock": "time", "temperature": "warm", "wheel_temperature": "wheel"}.get(condition, condition)
-    known = name == condition and name in ("s", "feed", "setpoint", "belt", *(f"q{j}" for j in range(1, 7)))
-    return waves_over(name, count) if known or name != condition else None
-
-
-def conditions_by_name(c: ReadingConditions, reference: float, middle: float = 0.0) -> dict[str, Array]:
-    """Conditions (n,) of readings as patches call them; reference temperature deg C, middle azimuth rad."""
-    found = {f"q{j + 1}": c.q[:, j] for j in range(6)}
-    found |= {name: v for name in ("s", "feed", "setpoint", "belt") if (v := getattr(c, name)) is not None}
-    found |= {} if c.wheel_temperature is None else {"wheel": c.wheel_temperature - reference}
-    found |= {} if c.line is None else {"line": c.line.astype(float)}
-    if c.tau is not None:
-        found |= {f"tau{j + 1}": c.tau[:, j] for j in range(6)}
-    if c.moments is not None:
-        found |= {f"m{axis}{j + 1}": c.moments[:, j, k] for j in range(6) for k, axis in enumerate("xy")}
-    found |= {} if c.temperature is None else {"warm": c.temperature - reference}
-    found |= {} if c.clock is None else {"time": c.clock}
-    if c.waited is not None:
-        found |= {f"settling{s:.0f}": left for s, left in zip(SETTLING, left_of_motion(c.waited).T, strict=True)}
-    if c.point is not None:
-        turned = np.arctan2(c.point[:, 1], c.point[:, 0]) - middle
-        flat = np.linalg.norm(c.point[:, :2], axis=1)
-        found |= {"range": np.linalg.norm(c.point, axis=1), "azimuth": np.arctan2(np.sin(turned), np.cos(turned))}
-        found |= {"elevation": np.arctan2(c.point[:, 2], flat)}
-    return found
 
 
 def signal_of(name: Name) -> str:
@@ -156,31 +37,20 @@ def as_patch(name: Name, variant: int, size: float, channel: Channel) -> Active 
     signal, where, source = name.effect.removeprefix("?").split("/")
     if signal != channel.name or not isinstance(channel, Patchable):
         return None
-    c, more = channel.conditions, {}
-    middle = 0.0
+    c, more, middle = channel.conditions, {}, 0.0
+    kernel = next((k for k in kernels(c) if (k.where, k.source, k.joint) == (where, source, name.joint)), None)
+    if kernel is None or not (features := kernel.words(variant)):
+        return None
     if source == "reading":
         there = [a.scanned["source"] for a in channel.active if is_patch(a.effect)]
         alone = "sensor" in there if there else variant == 1 and c.pressed is not None and not is_periodic(where)
-        features, source = of_reading(where, variant, c), "sensor" if alone else "force"
-    elif source == "joint":
-        features = of_joint(where, name.joint, variant, c)
+        source = "sensor" if alone else "force"
     elif source == "axis":
-        features, source = of_axis(where, name.joint, c), f"axis {('still', 'turning')[variant]}"
-    elif source == "frame":
-        features = waves_over({"temperature": "warm"}.get(where, where), 3) if where in ("time", "temperature") else None
-    elif where == "sight" or c.point is None:
-        features = None
-    else:
-        flat = np.linalg.norm(c.point[:, :2], axis=1)
-        turned = np.arctan2(c.point[:, 1], c.point[:, 0])
-        middle = float(np.arctan2(np.sin(turned).mean(), np.cos(turned).mean()))
+        source = f"axis {('still', 'turning')[variant]}"
+    elif source == "beam" and c.point is not None:
+        middle, flat = middle_of(c.point), np.linalg.norm(c.point[:, :2], axis=1)
         more["about"] = (middle, float(flat.mean()), float(np.linalg.norm(c.point, axis=1).mean()))
-        one, _, slow = where.partition(" x ")
-        course = {"temperature": "warm"}.get(slow, slow)
-        features = times([f"power 1 {one}"], waves_over(course, 2)) if slow else waves_over(where, 4)
         source = ON_BEAM[variant]
-    if not features:
-        return None
     measured = conditions_by_name(c, channel.reference, middle)
     if not measured.keys() >= set(conditions_of(features)):
         return None
