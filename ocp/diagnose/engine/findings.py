@@ -6,7 +6,7 @@
 from dataclasses import dataclass, field
 
 from ocp.diagnose.engine.channel_system import Channel, HeldOut
-from ocp.diagnose.rules import EXPLAINED, LEADS, PRIOR_EFFECTS, PRIOR_UNKNOWN
+from ocp.diagnose.rules import EXPLAINED, LEADS, PRIOR_EFFECTS
 from ocp.effects.effect import Active
 from robots.pose import Array
 
@@ -26,17 +26,15 @@ class Name:
 class Options:
     """How to search.
 
-    most: effects of an explanation at most; beam: explanations kept while growing; seed;
-    prior_effects: effects expected in a data set before it is seen; prior_unknown: probability of one outside the catalogue;
+    most: effects of an explanation at most; beam: explanations kept while growing;
+    prior_effects: effects expected in a data set before it is seen;
     withheld: names of effects left out of the library (leave-one-effect-out); barred: effects and joints that were shown to be
     impostors; where, folds: whether to compute those parts.
     """
 
     most: int = 4
     beam: int = 6
-    seed: int = 0
     prior_effects: float = PRIOR_EFFECTS
-    prior_unknown: float = PRIOR_UNKNOWN
     withheld: tuple[str, ...] = ()
     barred: tuple[Name, ...] = ()
     where: bool = True

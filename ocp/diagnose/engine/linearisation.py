@@ -9,7 +9,7 @@ import numpy as np
 
 from ocp.diagnose.engine.beam import Key, Weighed
 from ocp.diagnose.engine.channel_system import Channel, ReadingRows
-from ocp.diagnose.engine.evidence import SIZES, Rival, Stack, coefficients_given, size_grid, stack
+from ocp.diagnose.engine.evidence import SIZES, Rival, Stack, coefficients_given, size_grid, stack, visible_lambda
 from ocp.diagnose.engine.findings import Name, Options
 from ocp.diagnose.engine.kernels import Kernel, kernels
 from ocp.diagnose.engine.pool import CandidatePool, Family, Given, Member, given, make_pool, most_telling
@@ -20,6 +20,7 @@ from ocp.diagnose.rules import (
     LEADS,
     LINES_A_GEAR,
     PLAY_ODDS,
+    PRIOR_UNKNOWN,
     QUIET,
     RIPPLE_ODDS,
     SEEN_LAMBDA,
@@ -152,6 +153,18 @@ def rival_of(effect: Effect, joint: int, scans: Sequence[Scanned]) -> Rival | No
     return None
 
 
+def smallest_seen(
+    effect: Effect, joint: int, scans: Sequence[Scanned], among: int, odds: float, energy: float, others: Array
+) -> float:
+    """Share of the usual upper end from which an effect at a joint is named nine times of ten, inf: never; among: of how many
+    variants `scans` are the most telling; energy: mean square of its columns at the upper end, others (k,): at its other joints.
+    Play of all joints stands against that of one: of the others it pays for what these readings show of them."""
+    rival, positive = rival_of(effect, joint, scans), int(positive_of(effect).sum())
+    beside = others if rival is not None and rival.beside else None
+    price = visible_lambda(energy, effect.size, size_grid(ratio_of(effect, scans)), odds, among, positive, rival, beside)
+    return float(np.sqrt(price / max(energy, 1e-12)))
+
+
 def has_twin(effect: Effect, joint: int, scans: Sequence[Scanned], among: int = 0) -> bool:
     """Whether every machine has a little of it: ripples of many orders."""
     return max(len(scans), among) > 1 and joint > 0 and "amplitude_rad" in {p.key for p in effect.parameters}
@@ -183,10 +196,12 @@ def stacked_columns(
 ) -> tuple[Array, tuple[Scanned, ...]]:
     """Whitened columns (N, V, m) of all channels one below the other, and the scanned values of each variant; zero where a
     channel cannot see the effect. Without `scans` the union of the channels' own."""
-    if scans is None and len(channels) > 1:
-        scans = list({scan_key(s): s for c in channels for s in c.variants(effect, joint)[0]}.values())
     parts = [c.variants(effect, joint, scans) for c in channels]
-    chosen = tuple(scans) if scans is not None else parts[0][0]
+    chosen = parts[0][0] if scans is None else tuple(scans)
+    if scans is None and len(channels) > 1:
+        every = {scan_key(s): s for found, _ in parts for s in found}
+        chosen, same = tuple(every.values()), [[*map(scan_key, found)] == [*every] for found, _ in parts]
+        parts = [p if there else c.variants(effect, joint, chosen) for c, p, there in zip(channels, parts, same, strict=True)]
     if not any(found for found, _ in parts):
         return np.zeros((0, 0, effect.size)), ()
     none = [np.zeros((len(c.system.residual), len(chosen), effect.size)) for c in channels]
@@ -286,7 +301,7 @@ def kernel_families(channels: Sequence[Channel], stacked: Stack, options: Option
     kinds = Counter(_kind(kernel) for _, kernel, _ in made)
     found = []
     for name, kernel, columns in made:
-        share = options.prior_unknown / len(kinds) / kinds[_kind(kernel)]
+        share = PRIOR_UNKNOWN / len(kinds) / kinds[_kind(kernel)]
         share *= BROKEN_ORDER_ODDS if "ripple" in kernel.where else 1.0
         share *= columns.shape[1] / max(kernel.among, columns.shape[1])
         m, sizes = columns.shape[2], size_grid(kernel.low / kernel.high)

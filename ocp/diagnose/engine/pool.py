@@ -341,8 +341,7 @@ def given(pool: CandidatePool, members: Sequence[Member]) -> Given:
 def scan(pool: CandidatePool, there: Given) -> Scan:
     """Evidence of every family over what is given."""
     count = len(pool.families)
-    log = np.full(count, -np.inf)
-    variant, size = np.zeros(count, np.int64), np.ones(count)
+    log, variant, size = np.full(count, -np.inf), np.zeros(count, np.int64), np.ones(count)
     pool.look_ahead(there.members)
     crossed = [(pool.crossed[m.family, m.variant], m.size) for m in there.members]
     for k, g in enumerate(pool.groups):
@@ -350,7 +349,13 @@ def scan(pool: CandidatePool, there: Given) -> Scan:
         if crossed:
             G, b = _beside(there, np.vstack([s * rows[k] for rows, s in crossed]), G, b)
         every = log_evidence(G, b, g.sizes, g.positive, there.left, pool.freedom)
-        _summarise(g, every, (log, variant, size))
+        counts = np.diff(np.append(g.starts, len(every)))
+        per = np.logaddexp.reduce(every, axis=1)
+        log[g.families] = np.logaddexp.reduceat(per, g.starts) - np.log(counts * every.shape[1])
+        tops = np.flatnonzero(per == np.repeat(np.maximum.reduceat(per, g.starts), counts))
+        best = tops[np.searchsorted(tops, g.starts)]  # the first of each family that reaches its top
+        variant[g.families] = best - g.starts
+        size[g.families] = g.sizes[best, np.argmax(every[best], axis=1)]
     return Scan(log, variant, size)
 
 
@@ -367,15 +372,3 @@ def _beside(there: Given, crossed: Array, G: Array, b: Array) -> tuple[Array, Ar
     """X^T X (V, m, m) and X^T y (V, m) once the columns that are given have taken their part; crossed (r, V m): C^T X."""
     held = (there.turn @ crossed).reshape(len(crossed), *b.shape)
     return G - squares(held), b - np.einsum("rvi,r->vi", held, there.inner)
-
-
-def _summarise(g: _Group, every: Array, out: tuple[Array, Index, Array]) -> None:
-    """Per family: mean evidence over variants and sizes, best variant and size, written into `out`."""
-    log, variant, size = out
-    counts = np.diff(np.append(g.starts, len(every)))
-    per = np.logaddexp.reduce(every, axis=1)
-    log[g.families] = np.logaddexp.reduceat(per, g.starts) - np.log(counts * every.shape[1])
-    tops = np.flatnonzero(per == np.repeat(np.maximum.reduceat(per, g.starts), counts))
-    best = tops[np.searchsorted(tops, g.starts)]  # the first of each family that reaches its top
-    variant[g.families] = best - g.starts
-    size[g.families] = g.sizes[best, np.argmax(every[best], axis=1)]

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
@@ -36,7 +36,7 @@ from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.effects.belt_splice import EFFECT as SPLICE
 from ocp.effects.catalogue import library
 from ocp.effects.cell_effects import effect_of
-from ocp.effects.effect import Active, Effect, Scanned, Surroundings, scan_key
+from ocp.effects.effect import Active, Effect, Scanned, Surroundings
 from ocp.effects.flange_friction import EFFECT as FRICTION
 from ocp.effects.motor_harmonic import ratios_of
 from ocp.model.cell import Cell, with_calibration
@@ -56,7 +56,7 @@ OF_CONDITIONS = ("approach", "time", "s", "travel")
 @dataclass(frozen=True)
 class ForceChannel:
     """A force log with the fit of the believed contact and of the active effects. `store` keeps columns that hardly change,
-    `found` the trains of a belt's splice that were found at first, `latest` those columns that were asked for last, `made` the
+    `found` the trains of a belt's splice that were found at first, `made` the
     conditions that are to be predicted."""
 
     problem: ForceProblem
@@ -65,7 +65,6 @@ class ForceChannel:
     store: Store = field(default_factory=dict, repr=False)
     before: "ForceChannel | None" = field(default=None, repr=False)
     judged: dict[tuple[object, ...], "ForceChannel"] = field(default_factory=dict, repr=False)
-    latest: dict[str, Any] = field(default_factory=dict, repr=False)
     found: dict[str, SpliceTrains] = field(default_factory=dict, repr=False)
     made: dict[str, Asked] = field(default_factory=dict, repr=False)
     tracker: TrackerChannel | None = field(default=None, repr=False)
@@ -168,16 +167,7 @@ class ForceChannel:
         """Whitened columns about the current fit."""
         if self.blind(effect):
             return UNSEEN
-        chosen = self.scan(effect, joint) if scans is None else tuple(scans)
-        # The engine asks for a scan and then, for all channels together, by name for what the scan had.
-        asked = (effect.name, joint, *map(scan_key, chosen))
-        if self.latest.get("asked") != asked:
-            self.latest.update(asked=asked, found=self._variants(effect, joint, chosen))
-        return cast(Variants, self.latest["found"])
-
-    def _variants(self, effect: Effect, joint: int, chosen: tuple[Scanned, ...]) -> Variants:
-        """As `variants`, evaluated."""
-        found = list[Array]()
+        chosen, found = self.scan(effect, joint) if scans is None else tuple(scans), list[Array]()
         for start in range(0, len(chosen), TOGETHER):
             some, about = chosen[start : start + TOGETHER], (self.problem.scene, self.fit.at)
             if acts_by_force(*about, effect):
@@ -213,7 +203,7 @@ class ForceChannel:
         else:
             problem, near = self.problem, self.fit
         fit, before = fit_effects(problem, visible, near), self.baseline if visible else None
-        found = replace(self, problem=problem, fit=fit, before=before, judged={}, latest={})
+        found = replace(self, problem=problem, fit=fit, before=before, judged={})
         white = self.baseline.fit.whiteners
         if found.squares(white) > RAN_OFF * self.baseline.squares(white):
             raise Infeasible(

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ocp.diagnose.engine.channel_system import Channel, HeldOut, effects_key, shows
+from ocp.diagnose.engine.channel_system import Channel, HeldOut, shows
 from ocp.diagnose.engine.findings import Alternative, Diagnosis
 from ocp.diagnose.engine.search import outliers
 from ocp.diagnose.foresee.planned_tracker import channel_about
@@ -35,7 +35,6 @@ from ocp.diagnose.verdict.shrinkage import (
     promised_later,
     realised,
 )
-from ocp.effects.effect import Active
 from ocp.effects.engine.readings import has_columns
 from robots.calibration.residuals import points
 from robots.pose import Array
@@ -159,7 +158,7 @@ def anticipated(
 ) -> Anticipated:
     """One group for every payload of the cell and every temperature, or for every payload that the conditions `sealed` carry;
     others: alternatives, the accepted one (which `after` is) first."""
-    models = [_with(before, after, o.active) for o in others] or [after]
+    models = [after.fitted_with(o.active) if o.active else before for o in others] or [after]
     if sealed is not None:
         rows = np.unique(np.linspace(0, len(sealed) - 1, min(len(sealed), ASKED)).astype(np.int64))
         asked = replace(sealed.take(rows), turn=None, sigma_turn=None)
@@ -175,13 +174,6 @@ def anticipated(
     measured = tuple(after.readings.payloads[k] for k in np.unique(after.readings.payload))
     draws = models[0].background.draws
     return Anticipated(tuple(groups), measured, told / told.sum(), models[0].fit.covariance, draws, sealed is not None)
-
-
-def _with(before: TrackerChannel, after: TrackerChannel, active: tuple[Active, ...]) -> TrackerChannel:
-    """The channel with these effects; one of those given where it is that already."""
-    if not active:
-        return before
-    return after if effects_key(active) == effects_key(after.active) else after.with_active(active)
 
 
 def _group(before: TrackerChannel, models: Sequence[TrackerChannel], new: Readings) -> NewReadings:

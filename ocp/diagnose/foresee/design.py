@@ -18,9 +18,9 @@ from threadpoolctl import threadpool_limits
 
 from ocp.calibrate.force.log import AXES, FEED, NORMAL, POINT, ForceLog, Index, log_of_table, read_force_log
 from ocp.diagnose.engine.channel_system import UNSEEN, Channel, needs_motion
-from ocp.diagnose.engine.evidence import project, size_grid, visible_lambda
+from ocp.diagnose.engine.evidence import project
 from ocp.diagnose.engine.findings import Options
-from ocp.diagnose.engine.linearisation import log_odds, positive_of, ratio_of, rival_of
+from ocp.diagnose.engine.linearisation import log_odds, smallest_seen
 from ocp.diagnose.foresee.planned_tracker import arm_expected, default_poses, planned_channel
 from ocp.diagnose.rules import LEAST_CONTACT_ROWS, LEAST_READINGS
 from ocp.diagnose.tracker.channel import TrackerChannel
@@ -160,12 +160,9 @@ def smallest_visible(channel: Channel, effect: Effect, joint: int, energies: Map
     if energy < FREE_LIMIT:
         return np.inf
     scans = _scans(channel, effect, joint)
-    odds, positive = log_odds(effect, kinds, USUAL), int(positive_of(effect).sum())
-    sizes, rival = size_grid(ratio_of(effect, scans)), rival_of(effect, joint, scans)
-    # Play of all joints stands against that of one: of the others it pays for what these readings show of them.
-    others = np.array([e for j, e in energies.items() if j != joint]) if rival is not None and rival.beside else None
+    others = np.array([e for j, e in energies.items() if j != joint])
     among = max(len(scans), channel.surroundings.among.get(effect.name, 0))
-    return float(np.sqrt(visible_lambda(energy, effect.size, sizes, odds, among, positive, rival, others) / energy))
+    return smallest_seen(effect, joint, scans, among, log_odds(effect, kinds, USUAL), energy, others)
 
 
 def _scans(channel: Channel, effect: Effect, joint: int) -> tuple[Scanned, ...]:

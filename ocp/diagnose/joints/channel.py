@@ -60,17 +60,6 @@ def encoder_rows(signals: Signals, robot: Robot, payload: Hanging) -> ArmRows:
     return rows
 
 
-def encoder_columns(effect: Effect, joint: int, scans: Sequence[Scanned], rows: ArmRows, recorded: NDArray[np.bool_]) -> Array:
-    """Angles (variants, n, 6, m) rad of the links per unit coefficient; recorded (6,): whose load was recorded."""
-    total = np.zeros((len(scans), len(rows), 6, effect.size))
-    if effect.joint is not None:
-        total += evaluated(Hook(effect, "joint", joint, ARM_LAYOUT, rows.place), rows.state, scans)[-1]
-    if effect.torque is not None:
-        share = rows.block("c") * np.where(recorded, 0.0, 1.0)
-        total += share[None, :, :, None] * evaluated(Hook(effect, "torque", joint, ARM_LAYOUT, rows.place), rows.state, scans)[-1]
-    return total
-
-
 @dataclass(frozen=True)
 class EncoderNuisance:
     """Unknowns that are no effects: names, prior mean and sd (p,) (sd infinite: free), sensitivities (readings, p) of the gap."""
@@ -124,8 +113,14 @@ class EncoderProblem:
         return out
 
     def columns(self, effect: Effect, joint: int, scans: Sequence[Scanned]) -> Array:
-        """Sensitivities (variants, readings, m) rad of the gap in an effect's coefficients."""
-        return np.asarray(encoder_columns(effect, joint, scans, self.arm, self.signals.measured)[:, self.row, self.joint - 1])
+        """Sensitivities (variants, readings, m) rad of the gap in an effect's coefficients; a recorded load holds all torques."""
+        arm, total = self.arm, np.zeros((len(scans), len(self.arm), 6, effect.size))
+        shares = {"joint": np.ones((len(arm), 6)), "torque": arm.block("c") * np.where(self.signals.measured, 0.0, 1.0)}
+        for kind, share in shares.items():
+            if getattr(effect, kind) is not None:
+                made = evaluated(Hook(effect, kind, joint, ARM_LAYOUT, arm.place), arm.state, scans)[-1]
+                total += share[None, :, :, None] * made
+        return np.asarray(total[:, self.row, self.joint - 1])
 
     @cached_property
     def roots(self) -> dict[int, tuple[Index, list[tuple[Index, Array]]]]:

@@ -9,7 +9,7 @@ from typing import Any
 from ocp.calibrate.report.view import listed
 from ocp.diagnose.engine.findings import Diagnosis, Location, Name
 from ocp.diagnose.rules import LEADS
-from ocp.diagnose.verdict.answer import Answer, Patched, figures
+from ocp.diagnose.verdict.answer import Answer, Patched, figures, there_of
 from ocp.diagnose.verdict.patching import formula_of
 from ocp.diagnose.verdict.shrinkage import ANOTHER_DAY, NONE, Shrinkage
 from ocp.effects.catalogue import library
@@ -121,7 +121,7 @@ def told_as(d: Diagnosis) -> str:
 
 def _patch(patch: Patched, beside: bool) -> str:
     """What is corrected without a name, `beside` names or alone, and what that promises."""
-    told = f"{shrinkage_words(patch.shrinkage)} of the {patch.channel.name} gap should be gone {patch.there}"
+    told = f"{shrinkage_words(patch.shrinkage)} of the {patch.channel.name} gap should be gone {there_of(patch.asked)}"
     what = "; ".join(formula_of(one) for one in patch.patches)
     alone = "as well" if beside else "alone, and no name"
     return f"With what has no name corrected {alone}, {told}. It explains nothing, and fades outside what was measured: {what}"
@@ -216,7 +216,7 @@ def _levels(answer: Answer) -> str:
 
 def _promise(answer: Answer) -> str:
     told = [
-        f"{shrinkage_words(gap.shrinkage)} of the {SHORT[gap.name]} gap should be gone {gap.there}, "
+        f"{shrinkage_words(gap.shrinkage)} of the {SHORT[gap.name]} gap should be gone {there_of(gap.asked)}, "
         f"{shrinkage_words(gap.promise[ANOTHER_DAY])} on another day"
         for gap in answer.gaps
         if gap.shrinkage is not None and gap.shrinkage != NONE
@@ -272,7 +272,7 @@ def _better(answer: Answer) -> str:
                 "; what has no name is in that noise" if unknown else "; the gap is too small beside it to speak of shrinking"
             )
         elif gap.shrinkage != NONE:
-            words += f"; {gap.there} {shrinkage_words(gap.shrinkage)} of the gap beyond noise should be gone"
+            words += f"; {there_of(gap.asked)} {shrinkage_words(gap.shrinkage)} of the gap beyond noise should be gone"
         parts.append(words)
     return "; ".join(parts)
 

@@ -100,15 +100,14 @@ def _draw_vectors(canvas: Canvas, gap: SignalGap) -> None:
         draw_vectors(axes, when, point[kept], vectors[kept], factor, colour, np.zeros(int(kept.sum()), bool))
 
 
-def along_joints(gap: SignalGap, before: bool = True) -> tuple[Array, Array, Array | None]:
+def along_joints(gap: SignalGap) -> tuple[Array, Array, Array | None]:
     """Gap (n, 6) in the signal's unit along the way on which each joint carries what is measured, nan where it does not; joint
     angles (n, 6) rad; approach (n, 6) or None."""
-    channel = gap.baseline if before else gap.corrected
-    c = channel.conditions
+    c = gap.baseline.conditions
     assert c.d_joints is not None
     way = np.linalg.norm(c.d_joints, axis=1)
     far = way > 0.05 * way.max()
-    along = np.einsum("nk,nkj->nj", channel.gap(), c.d_joints) / np.where(far, way, 1.0)
+    along = np.einsum("nk,nkj->nj", gap.baseline.gap(), c.d_joints) / np.where(far, way, 1.0)
     return np.where(far, along, np.nan) * SCALE[gap.unit], c.q, c.approach
 
 

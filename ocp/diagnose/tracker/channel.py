@@ -188,6 +188,10 @@ class TrackerChannel:
             self.refits[key] = replace(self, task=task, fit=fit if task is self.task else settled(task, fit))
         return self.refits[key]
 
+    def fitted_with(self, active: tuple[Active, ...]) -> "TrackerChannel":
+        """The channel with these effects, whatever values they come with; itself where it has them."""
+        return self if effects_key(active) == effects_key(self.active) else self.with_active(active)
+
     def thinned(self, most: int) -> "TrackerChannel":
         """Fitted to at most so many readings, evenly taken."""
         if len(self.readings) <= most:
@@ -230,7 +234,7 @@ class TrackerChannel:
 
     def predict(self, sealed: Readings, active: tuple[Active, ...]) -> Sealed:
         """Baseline and corrected predictions (n, 3) m in the tracker's frame, one sigma of each coordinate."""
-        before, after = (self if effects_key(a) == effects_key(self.active) else self.with_active(a) for a in ((), active))
+        before, after = self.fitted_with(()), self.fitted_with(active)
         return predict_sealed_readings(
             before.task,
             before.fit,

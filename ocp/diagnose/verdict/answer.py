@@ -41,11 +41,6 @@ class SignalGap:
     corrected: Channel
     asked: bool = False
 
-    @property
-    def there(self) -> str:
-        """Of what the shrinkage is promised."""
-        return there_of(self.asked)
-
 
 @dataclass(frozen=True)
 class Unnamed:
@@ -66,11 +61,6 @@ class Patched:
     shrinkage: Shrinkage
     others: tuple[Alternative, ...]
     asked: bool = False
-
-    @property
-    def there(self) -> str:
-        """Of what the shrinkage is promised."""
-        return there_of(self.asked)
 
     @property
     def patches(self) -> tuple[Active, ...]:

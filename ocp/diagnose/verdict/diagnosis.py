@@ -10,9 +10,8 @@ from scipy.special import fdtrc
 from ocp.diagnose import rules
 from ocp.diagnose.engine.beam import NOTHING, Search, Weighed
 from ocp.diagnose.engine.channel_system import Channel, Resting, Scattering, WeighedReadings
-from ocp.diagnose.engine.evidence import visible_lambda
 from ocp.diagnose.engine.findings import Diagnosis, Explanation, KernelTest, Location, Name, Options, Ranked, Screened
-from ocp.diagnose.engine.linearisation import Linearisation, linearised, names_of, rival_of, stacked_columns
+from ocp.diagnose.engine.linearisation import Linearisation, linearised, names_of, smallest_seen, stacked_columns
 from ocp.diagnose.engine.pool import Family, Given, given
 from ocp.diagnose.engine.search import Diverged, search_and_refit
 from ocp.diagnose.engine.selection import misses_far_more_than_noise, select_effects
@@ -139,7 +138,7 @@ def findings(
         budget=tuple(budget(problem, tests, all_of_it)),
         kernels=tuple(tests),
         left_over=tuple(after),
-        spectrum=tuple(spectra(problem, problem.pool.y, options.seed)) if options.where else (),
+        spectrum=tuple(spectra(problem, problem.pool.y)) if options.where else (),
         screened=screened(first),
         impostors=tuple(refused),
         unknown_reasons=tuple(f"{n}: {why}" for n, why in (*doubts, *hurting)),
@@ -263,13 +262,10 @@ def screened(problem: Linearisation) -> tuple[Screened, ...]:
         ratio = gained[best] / g.m / max((total - gained[best]) / (pool.freedom - g.m), 1e-9)
         p, among = float(fdtrc(g.m, pool.freedom - g.m, ratio)), max(V, family.among)
         energy = float(np.trace(G[best])) / g.m
-        rival = rival_of(family.effect, family.name.joint, family.scans)
         own = family.name
         others = np.array([e for n, e in energies.items() if n.effect == own.effect and n.joint != own.joint]) / g.m
-        beside = others if rival is not None and rival.beside else None
         odds = family.log_odds + float(np.log(among / V))
-        price = visible_lambda(energy, g.m, family.sizes, odds, among, int(family.positive.sum()), rival, beside)
-        smallest = float(np.sqrt(price / max(energy, 1e-12)))
+        smallest = smallest_seen(family.effect, own.joint, family.scans, among, odds, energy, others)
         left = share_left(problem, family, best, energy * g.m)
         found.append(Screened(family.name, float(gained[best]), g.m, among, min(1.0, 1 - (1 - p) ** among), smallest, left))
     return tuple(sorted(found, key=lambda s: s.p_value))

@@ -64,9 +64,9 @@ def of_kernel(name: Name) -> Location:
     return Location(signal, subsystem, name.joint, depends_on(where))
 
 
-def of_tests(tests: list[KernelTest], sure: float = PLACE_SURE) -> Location | None:
+def of_tests(tests: list[KernelTest]) -> Location | None:
     """Of the most telling kernel, the number of kernels allowed for; None where none is sure."""
-    if not tests or tests[0].p_value * len(tests) > sure:
+    if not tests or tests[0].p_value * len(tests) > PLACE_SURE:
         return None
     t = tests[0]
     return of_kernel(Name(f"?{t.channel}/{t.where}/{t.source}", t.joint))
@@ -124,7 +124,7 @@ ORDERS = np.arange(1.0, 121.0, 0.5)  # per turn
 SHIFTS = 199
 
 
-def spectra(problem: Linearisation, y: Array, seed: int) -> list[SpectrumPeak]:
+def spectra(problem: Linearisation, y: Array) -> list[SpectrumPeak]:
     """Of every channel that knows how joints move its readings: one a joint, most significant first; y (N,) projected."""
     found = []
     for channel, block in zip(problem.channels, problem.stack.blocks, strict=True):
@@ -140,7 +140,7 @@ def spectra(problem: Linearisation, y: Array, seed: int) -> list[SpectrumPeak]:
             a = np.bincount(reading, rows[:, j] * y[block], n).astype(float)
             g = np.bincount(reading, rows[:, j] ** 2, n).astype(float)
             if g.max() > 0:
-                peak = _peak(j + 1, c.q[:, j], a, g, np.random.default_rng([seed, j]))
+                peak = _peak(j + 1, c.q[:, j], a, g, np.random.default_rng([0, j]))
                 found.append(replace(peak, signal=channel.name))
     return sorted(found, key=lambda p: p.p_value)
 

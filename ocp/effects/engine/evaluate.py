@@ -254,15 +254,11 @@ def arm_columns(effect: Effect, joint: int, scans: Sequence[Scanned], rows: ArmR
         moving, shift = evaluated_sparsely(Hook(effect, "joint", joint, ARM_LAYOUT, rows.place), rows.state, scans)
     if effect.torque is not None:
         under, torque = evaluated_sparsely(Hook(effect, "torque", joint, ARM_LAYOUT, rows.place), rows.state, scans)
-        bent = rows.block("c")[:, under, None] * torque
-        if len(moving):
-            both = np.union1d(moving, under)
-            whole = np.zeros((*shift.shape[:2], len(both), effect.size))
-            whole[:, :, np.searchsorted(both, moving)] = shift
-            whole[:, :, np.searchsorted(both, under)] += bent
-            moving, shift = both, whole
-        else:
-            moving, shift = under, bent
+        both = np.union1d(moving, under)
+        whole = np.zeros((*shift.shape[:2], len(both), effect.size))
+        whole[:, :, np.searchsorted(both, moving)] = shift
+        whole[:, :, np.searchsorted(both, under)] += rows.block("c")[:, under, None] * torque
+        moving, shift = both, whole
     if effect.twist is not None:
         twists = evaluated(Hook(effect, "twist", joint, ARM_LAYOUT, rows.place), rows.state, scans)
     return ArmColumns(moving, shift, twists)
