@@ -18,7 +18,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ocp.data import CELL
-from ocp.poses.design import Design, planned_readings
+from ocp.poses.design import Design
 from ocp.poses.planning import PoseOptions, PosePlan, make_poses
 from ocp.shell.progress import Phases
 from robots.calibration.fit import fit_campaign
@@ -30,7 +30,7 @@ from robots.calibration.residuals import residuals
 from robots.calibration.solver import Campaign
 from robots.kinematics import link_frames
 from robots.pose import Array, apply, make_transform
-from robots.tracker_readings import Readings
+from robots.tracker_readings import Readings, planned_readings
 
 COUNTS = (12, 16, 20, 30, 40, 60, 80)
 HIGHEST = 80

@@ -171,6 +171,15 @@ class Readings:
         return np.asarray(np.unique(np.hstack(keys), axis=0, return_inverse=True)[1], np.int64).ravel()
 
 
+def planned_readings(q: Array, target: Index, targets: tuple[str, ...], payload: Index, payloads: tuple[str, ...]) -> Readings:
+    """Readings (n,) that are yet to be taken: joints q (n, 6) rad, indices of nests and payloads; one station."""
+    n = len(q)
+    one = np.zeros(n, np.int64), ("",)
+    measured, unloaded, flange = np.full((n, 3), np.nan), np.zeros((n, 6)), np.full(n, 6)
+    words = target, targets, payload, payloads, *one, *one
+    return Readings(Path("poses.csv"), q, measured, *words, unloaded, flange, unloaded[:, :3], line=np.arange(n) + 2)
+
+
 def read_readings(
     path: str | Path, payloads: dict[str, Hanging], instrument: Instrument, sealed: bool = False, mapping: ColumnMapping = OURS
 ) -> Readings:

@@ -1,7 +1,6 @@
 """Candidate readings as rows of a design, and the error to expect in the grinding zone after fitting the chosen ones."""
 
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
@@ -14,7 +13,7 @@ from robots.calibration.pose_choice import Pool, choose
 from robots.errors import BadInput
 from robots.kinematics import link_frames
 from robots.pose import Array, apply
-from robots.tracker_readings import Index, Readings
+from robots.tracker_readings import Index, Readings, planned_readings
 
 READINGS = 2  # of every pose: approached from either side
 LEAST_SHARE = 0.5  # of an equal share is what every payload gets at least: springs show in the difference
@@ -82,15 +81,6 @@ def build_design(
     # Both approaches of a pose count; their noise is independent.
     rows, least = np.sqrt(READINGS) * seen.rows, int(LEAST_SHARE * count / len(payloads))
     return Design(readings, posture, Pool(rows, seen.prior, posture, hung, least, aim), layout, J, scatter)
-
-
-def planned_readings(q: Array, target: Index, targets: tuple[str, ...], payload: Index, payloads: tuple[str, ...]) -> Readings:
-    """Readings (n,) that are yet to be taken: joints q (n, 6) rad, indices of nests and payloads; one station."""
-    n = len(q)
-    one = np.zeros(n, np.int64), ("",)
-    measured, unloaded, flange = np.full((n, 3), np.nan), np.zeros((n, 6)), np.full(n, 6)
-    words = target, targets, payload, payloads, *one, *one
-    return Readings(Path("poses.csv"), q, measured, *words, unloaded, flange, unloaded[:, :3], line=np.arange(n) + 2)
 
 
 def _zone(setup: TrackerSetup, zone: Zone, layout: Layout, state: State, like: Readings, noise: Noise) -> tuple[Array, Array]:

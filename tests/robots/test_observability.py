@@ -5,7 +5,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ocp.poses.design import planned_readings
 from robots.calibration.layout import Choice, Priors, build_layout, nominal_state
 from robots.calibration.noise import Noise
 from robots.calibration.observability import (
@@ -20,7 +19,7 @@ from robots.calibration.observability import (
 )
 from robots.pose import apply, rotation_from_abc
 from robots.robot import load_robot
-from robots.tracker_readings import Hanging, Instrument, Nest
+from robots.tracker_readings import Hanging, Instrument, Nest, planned_readings
 
 NESTS = {
     "T1": Nest(6, np.array([0.15, -0.05, 0.25])),

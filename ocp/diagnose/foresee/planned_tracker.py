@@ -1,7 +1,6 @@
 """Tracker readings that nobody has taken yet: planned measurements, default postures, the channel and the arm they make."""
 
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 
@@ -17,7 +16,7 @@ from robots.calibration.store import Calibration
 from robots.errors import BadInput
 from robots.kinematics import link_frames
 from robots.pose import Array
-from robots.tracker_readings import Readings
+from robots.tracker_readings import Readings, planned_readings
 
 PER_READING, SETTLING = 0.7, 3.0  # minutes: move, settle and measure one reading; to begin
 POSTURES, SWEEP = 15, 31  # postures of a check; steps of a sweep
@@ -189,29 +188,12 @@ def default_poses(setup: TrackerSetup, count: int, full: bool, seed: int = 0) ->
     q = _postures(setup, count, seed)
     rng = np.random.default_rng(seed)
     payloads, targets = tuple(setup.payloads) or ("",), tuple(setup.instrument.nests or {}) or ("",)
-    n = len(q)
-    each = np.arange(n)
-    time = np.linspace(0.0, DURATION, n)
-    return Readings(
-        path=Path("planned"),
-        q=q,
-        point=np.full((n, 3), np.nan),
-        target=(each % len(targets) if full else 0 * each).astype(np.int64),
-        targets=targets,
-        payload=(each * len(payloads) // n if full else 0 * each).astype(np.int64),
-        payloads=payloads,
-        station=np.zeros(n, np.int64),
-        stations=("",),
-        session=np.zeros(n, np.int64),
-        sessions=("",),
-        load=np.zeros((n, 6)),
-        load_link=np.full(n, 6, np.int64),
-        load_place=np.zeros((n, 3)),
-        approach=rng.choice([-1.0, 1.0], (n, 6)) if full else np.ones((n, 6)),
-        time=time if full else None,
-        temperature=20.0 + WARMED * (1 - np.exp(-3 * time / DURATION)) if full else None,
-        line=each.astype(np.int64) + 2,
-    )
+    each, time = np.arange(len(q)), np.linspace(0.0, DURATION, len(q))
+    if not full:
+        return replace(planned_readings(q, 0 * each, targets, 0 * each, payloads), approach=np.ones_like(q))
+    new = planned_readings(q, each % len(targets), targets, each * len(payloads) // len(q), payloads)
+    warmth = 20.0 + WARMED * (1 - np.exp(-3 * time / DURATION))
+    return replace(new, approach=rng.choice([-1.0, 1.0], q.shape), time=time, temperature=warmth)
 
 
 def _postures(setup: TrackerSetup, count: int, seed: int) -> Array:
