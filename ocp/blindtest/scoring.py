@@ -20,11 +20,8 @@ from ocp.blindtest.oracle.oracle import Name, name_of
 from ocp.blindtest.worlds.machines import BlindMachine, GrindingMachine, TrackerMachine
 from ocp.blindtest.worlds.recipes import OUTSIDE, Recipe, of_arm
 from ocp.blindtest.worlds.sealing import Check, Label, machine_of, read_label, read_seal, write_world
-from ocp.calibrate.force.log import read_force_log
 from ocp.diagnose.answering import channels_of
 from ocp.diagnose.dataset import read_data_set, read_sealed
-from ocp.diagnose.force.channel import predict_believed
-from ocp.model.cell import read_cell
 from ocp.shell.progress import Phases
 from ocp.simulate.twin.planting import Planted
 from robots.pose import Array
@@ -117,10 +114,10 @@ def realised_shrinkage(machine: BlindMachine, effects: tuple[Planted, ...], answ
     if isinstance(machine, GrindingMachine):
         if answer.get("predictions_force") is not None:
             truth = machine.log(effects, sealed=True).fn[:, None]
-            found["force"] = _realised(answer["predictions_force"], truth, lambda: _force_floor(machine) if effects else None)
+            found["force"] = _realised(answer["predictions_force"], truth, lambda: _floor(machine) if effects else None)
     if arm is not None and answer["predictions"] is not None:
         truth = arm.points(on_arm, sealed=True)
-        found["tracker"] = _realised(answer["predictions"], truth, lambda: _tracker_floor(arm) if on_arm else None)
+        found["tracker"] = _realised(answer["predictions"], truth, lambda: _floor(arm) if on_arm else None)
     counted = counted_signal(machine, effects)
     return {"realised" if signal == counted else f"realised_{signal}": one for signal, one in found.items()}
 
@@ -141,26 +138,19 @@ def _realised(predictions: dict[str, Any], truth: Array, floor: Callable[[], flo
     return {"before": before, "after": after, "named": by_names, "floor": least, "covered": float(within.mean())}
 
 
-def _tracker_floor(machine: TrackerMachine) -> float:
-    """Rms error m of the believed cell, refitted to what the machine without effects would have read, noise and all."""
+def _floor(machine: BlindMachine) -> float:
+    """Rms error, m of points or N of a log, of the believed cell, refitted to what the machine without effects would have
+    measured, noise and all."""
+    if isinstance(machine, TrackerMachine):
+        signal, truth = "tracker", machine.points((), sealed=True)
+    else:
+        signal, truth = "force", machine.log((), sealed=True).fn[:, None]
     with tempfile.TemporaryDirectory() as folder:
         write_world(Path(folder), machine, ())
         data = read_data_set(folder)
-        channel = channels_of(data, Phases())[0]
-        predicted = channel.predict(read_sealed(data, "tracker"), ())
-    return rms(predicted.baseline - machine.points((), sealed=True))
-
-
-def _force_floor(machine: GrindingMachine) -> float:
-    """The same of the log, N."""
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        write_world(folder, machine, ())
-        cell, log = read_cell(folder / "cell.toml"), read_force_log(folder / "force.csv")
-        tracker = folder / "tracker.csv" if machine.arm is not None else None
-        sealed = read_force_log(folder / "sealed_force.csv", sealed=True)
-        predicted = predict_believed(cell, log, sealed, tracker)
-    return rms((predicted - machine.log((), sealed=True).fn)[:, None])
+        channel = next(c for c in channels_of(data, Phases()) if c.name == signal)
+        predicted = channel.predict(read_sealed(data, signal), ())
+    return rms(predicted.baseline - truth)
 
 
 def rms(off: Array) -> float:

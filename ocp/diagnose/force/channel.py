@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -28,8 +27,8 @@ from ocp.diagnose.force.fit import EffectFit, ForceProblem, fit_effects
 from ocp.diagnose.force.held_out import Asked, force_fold_errors, force_folds, predict_sealed_force
 from ocp.diagnose.force.log_averages import LogAverages, Store, log_averages
 from ocp.diagnose.force.logged_contact import logged_arm
-from ocp.diagnose.force.prediction import LogScene, M, acts_by_force, effect_derivatives, force_changes, predict_forces
-from ocp.diagnose.force.prior import arm_from_tracker, arm_with_effects, contact_prior, with_setpoints_read_off
+from ocp.diagnose.force.prediction import LogScene, M, acts_by_force, effect_derivatives, force_changes
+from ocp.diagnose.force.prior import arm_with_effects, contact_prior, with_setpoints_read_off
 from ocp.diagnose.force.waves import SpliceTrains, likely_trains, picked_squares, telling_waves
 from ocp.diagnose.rules import LEAST_DIRECTION, LOOSE, ORDERS_APART, RAN_OFF
 from ocp.diagnose.tracker.channel import TrackerChannel
@@ -308,16 +307,6 @@ def _own_friction(cell: Cell) -> list[Active]:
     """What the cell states of its flange's friction, as an effect."""
     held = 0.0 if cell.flange is None else cell.flange.friction
     return [effect_of({"effect": FRICTION.name, "N": held}).active] if held else []
-
-
-def predict_believed(cell: Cell, log: ForceLog, sealed: ForceLog, tracker: Path | None = None) -> Array:
-    """Normal readings (n,) N of other conditions by the believed contact refitted to a log, no effect in it: what is left where
-    nothing else is wrong. Raises as `force_channel`."""
-    setup = prepare_force(replace(cell, effects=()), [log, sealed])
-    problem = problem_of(setup, cell, log, None if tracker is None else arm_from_tracker(tracker, cell.path))
-    fit, scene = fit_effects(problem), problem.scene
-    there = scene.over(setup.rows[1], log_conditions(cell, sealed))
-    return predict_forces(there, fit.at.x).fn
 
 
 def surroundings(problem: ForceProblem) -> Surroundings:

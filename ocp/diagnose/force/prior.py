@@ -14,7 +14,6 @@ is read off its readings and open in the fit, so an error that is one force over
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -26,16 +25,13 @@ from ocp.diagnose import rules
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.diagnose.tracker.refit import TrackerFit
 from ocp.effects.effect import Active
-from ocp.effects.engine.readings import shown_in, without_effects
-from ocp.model.cell import Cell, read_tracker_setup
+from ocp.model.cell import Cell
 from ocp.model.theta import covariance_root
 from robots.calibration.carried import carried_over
-from robots.calibration.fit import Fit, fit_campaign, fit_learned
-from robots.calibration.layout import Choice, Layout
-from robots.calibration.solver import Campaign
+from robots.calibration.fit import Fit
+from robots.calibration.layout import Layout
 from robots.calibration.store import BENDING, Calibration
 from robots.pose import Array
-from robots.tracker_readings import read_readings
 
 SCALES = ("cover_stiffness_scale", "blade_stiffness_scale")
 EXTRA = ("shear_gain", "shear_bias")  # after FIT_NAMES
@@ -76,24 +72,6 @@ def contact_prior(cell: Cell, arm: Calibration | None = None) -> NuisancePrior:
     whole[SHEAR_GAIN, SHEAR_GAIN], whole[SHEAR_BIAS, SHEAR_BIAS] = rules.SHEAR_GAIN_SD**2, rules.SHEAR_BIAS_SD**2
     mean = np.concatenate([prior.mean, np.zeros(len(EXTRA))])
     return NuisancePrior(mean, covariance_root(whole), None if calibration is None else calibration.joint_noise)
-
-
-def arm_from_tracker(tracker: Path, cell_file: Path) -> Calibration:
-    """The arm's posterior from tracker readings with the believed springs: prior of the force channel.
-
-    Raises BadInput: malformed readings.
-    """
-    setup = read_tracker_setup(cell_file)
-    readings = read_readings(tracker, setup.payloads, setup.instrument)
-    campaign = Campaign(setup.robot, readings, setup.payloads, setup.instrument)
-    choice = Choice(joints=tuple(j for j in setup.compliant_joints if setup.robot.stiffness[j - 1] > 0))
-    first = fit_campaign(campaign, choice)
-    believed = shown_in([one.active for one in setup.tables.believed], readings)
-    if believed:  # what the cell believes is not geometry
-        campaign = without_effects(campaign, first.state, believed, setup.tables.reference_temperature_C)
-        first = fit_campaign(campaign, choice)
-    fit = fit_learned(first)
-    return posterior_of(setup.robot.name, fit.layout, fit)
 
 
 def arm_with_effects(tracker: TrackerChannel, active: Sequence[Active]) -> Calibration:
