@@ -110,13 +110,18 @@ class Linear:
 @dataclass(frozen=True)
 class EffectFit(Linear):
     """A fit: z standard normal unknowns (nuisance, runs, coefficients in units of prior_sd), the prediction there with what is
-    linear about it, one whitener a signal, information (k, k) with the prior's in, whether it is at rest."""
+    linear about it, one whitener a signal, whether it is at rest."""
 
     z: Array
     at: Predicted
     whiteners: tuple[Whitener, ...]
-    information: Array = field(repr=False)
     rested: bool
+
+    @cached_property
+    def information(self) -> Array:
+        """On z (k, k), in the noise's own law (Student's t), the prior's in."""
+        parts = zip(self.whiteners, np.split(self.sensitivity, len(self.whiteners)), strict=True)
+        return np.eye(len(self.z)) + np.asarray(sum(whitener.noise.information(part) for whitener, part in parts))
 
     @cached_property
     def square(self) -> Array:
@@ -189,11 +194,9 @@ def fit_effects(problem: ForceProblem, active: tuple[Active, ...] = (), start: E
         found = _settled(replace(point, whiteners=anew))
         point = found.at
     z, at, whiteners = point.z, point.at, point.whiteners
-    line = linear(problem, z, at, whiteners)
-    information = np.eye(len(z)) + reading_information(whiteners, line.sensitivity)
-    covariance = np.linalg.inv(information)[r + o :, r + o :] * np.outer(scale, scale)
-    at = replace(at, active=with_coefficients(at.active, coefficients(at.active), covariance))
-    return EffectFit(**vars(line), z=z, at=at, whiteners=whiteners, information=information, rested=found.rested)
+    fit = EffectFit(**vars(linear(problem, z, at, whiteners)), z=z, at=at, whiteners=whiteners, rested=found.rested)
+    covariance = np.linalg.inv(fit.information)[r + o :, r + o :] * np.outer(scale, scale)
+    return replace(fit, at=replace(at, active=with_coefficients(at.active, coefficients(at.active), covariance)))
 
 
 def as_sized(active: tuple[Active, ...]) -> tuple[Active, ...]:
@@ -216,12 +219,6 @@ def units_of(active: tuple[Active, ...]) -> Array:
 def signals(log: ForceLog) -> tuple[ForceLog, ...]:
     """The log once a signal, the signal in the place of fn."""
     return (log,) if log.ft is None else (log, as_shear(log))
-
-
-def reading_information(whiteners: tuple[Whitener, ...], sensitivity: Array) -> Array:
-    """What whitened sensitivities (N, k) tell about z, (k, k), in the noise's own law (Student's t)."""
-    parts = zip(whiteners, np.split(sensitivity, len(whiteners)), strict=True)
-    return np.asarray(sum(whitener.noise.information(part) for whitener, part in parts))
 
 
 def _at(problem: ForceProblem, z: Array, active: tuple[Active, ...], near: Predicted | None) -> Predicted:

@@ -14,9 +14,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ocp.calibrate.force.log import ForceLog
 from ocp.calibrate.force.rows import LogConditions
-from ocp.diagnose.engine.channel_system import Channel, HeldOut
+from ocp.diagnose.engine.channel_system import HeldOut
 from ocp.diagnose.engine.findings import Alternative
 from ocp.diagnose.force.channel import ForceChannel
 from ocp.diagnose.force.fit import linear_normal
@@ -121,23 +120,6 @@ def _scene(channel: ForceChannel, conditions: LogConditions, rows: Index) -> Log
     scene, known = channel.problem.scene, conditions.take(rows)
     pressed = None if scene.pressed is None else scene.pressed[rows]
     return scene.over(scene.rows.take(rows), known, pressed)
-
-
-def of_grinding(
-    before: Channel,
-    after: Channel,
-    alternatives: Sequence[Alternative],
-    held: Sequence[HeldOut],
-    unknown: float,
-    carried: tuple[float, float] | None = None,
-    sealed: ForceLog | None = None,
-) -> Shrinkage | None:
-    """Of a force channel before and with the named effects; alternatives: what else may be true; held: folds, that say how
-    much is there under no name where, with probability `unknown`, something is; sealed: conditions that are asked for. None: no
-    gap to speak of."""
-    assert isinstance(before, ForceChannel) and isinstance(after, ForceChannel)
-    new = anticipated_grinding(before, after, alternatives, None if sealed is None else after.asked(sealed))
-    return None if new is None else from_grinding(new, after.noise_floor**2, held, unknown, carried)
 
 
 def from_grinding(

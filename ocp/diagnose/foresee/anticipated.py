@@ -86,7 +86,8 @@ def modelled(
     sealed: Any,
 ) -> tuple[Shrinkage | None, bool]:
     """What the models promise of tracker readings or forces, and whether under the conditions `sealed`: where these say all that
-    the alternatives depend on, and hold a gap to speak of. `held`, `unknown`, `carried`: as `of_grinding` has them."""
+    the alternatives depend on, and hold a gap to speak of. others: what else may be true; held: folds, that say how much is there
+    under no name where, with probability `unknown`, something is; carried: as `from_model` has it. None: no gap to speak of."""
     asked = _asked_of(after, others, sealed)
     told = None
     for conditions in [None] if asked is None else [asked, None]:
@@ -94,9 +95,12 @@ def modelled(
             noise = (after.noise_floor / SCALE[after.unit]) ** 2
             told = from_model(anticipated(before, after, others, conditions), held, noise, carried)
         else:
-            from ocp.diagnose.force.shrinkage import of_grinding  # blade and contact: only for those who measured force
+            from ocp.diagnose.force.channel import ForceChannel  # blade and contact: only for those who measured force
+            from ocp.diagnose.force.shrinkage import anticipated_grinding, from_grinding
 
-            told = of_grinding(before, after, others, held, unknown, carried, conditions)
+            assert isinstance(before, ForceChannel) and isinstance(after, ForceChannel)
+            new = anticipated_grinding(before, after, others, None if conditions is None else after.asked(conditions))
+            told = None if new is None else from_grinding(new, after.noise_floor**2, held, unknown, carried)
         if told is not None:
             return told, conditions is not None
     return None, False

@@ -144,8 +144,8 @@ def _by_tracker(channel: TrackerChannel, pairs: Sequence[RivalPair], others: Seq
     seen = [p for p in pairs if shows(channel, p.first.active)]
     if not seen:
         return []
-    found = []
     now = {p.names: unlike([channel], p, others) for p in seen}
+    found = []
     for candidate in planned_measurements(channel, tuple(j for j in joints if j)):
         there = channel_about(channel, candidate.readings)
         found += [_expected(candidate, p, unlike([channel, there], p, others) - now[p.names]) for p in seen]

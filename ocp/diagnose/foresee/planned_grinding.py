@@ -23,7 +23,7 @@ from ocp.diagnose.engine.evidence import Projection, project
 from ocp.diagnose.engine.findings import Diagnosis, Name, Options, Ranked
 from ocp.diagnose.engine.linearisation import log_odds
 from ocp.diagnose.force.channel import ForceChannel, problem_of
-from ocp.diagnose.force.fit import BLOCKS, EffectFit, ForceProblem, linear, reading_information, signals, units_of
+from ocp.diagnose.force.fit import BLOCKS, EffectFit, ForceProblem, linear, signals, units_of
 from ocp.diagnose.force.prediction import nuisance_derivatives, predict_forces
 from ocp.diagnose.force.prior import NUISANCE, NuisancePrior
 from ocp.diagnose.foresee.planned_tracker import PER_READING, SETTLING, arm_expected, default_poses, planned_channel
@@ -115,8 +115,7 @@ def _unmeasured(
     problem = replace(problem, log=log)
     whole = np.concatenate([z, np.zeros(problem.sizes[1]), units_of(active)])
     made = linear(problem, whole, at, whiteners)
-    information = np.eye(len(whole)) + reading_information(whiteners, made.sensitivity)
-    return problem, EffectFit(**vars(made), z=whole, at=at, whiteners=whiteners, information=information, rested=True)
+    return problem, EffectFit(**vars(made), z=whole, at=at, whiteners=whiteners, rested=True)
 
 
 def noise_of_means(noise: CorrelatedNoise, count: int) -> CorrelatedNoise:

@@ -248,23 +248,6 @@ class _Point:
         )
 
 
-def fit_encoders(problem: EncoderProblem, active: tuple[Active, ...]) -> tuple[Array, tuple[Active, ...]]:
-    """Nuisance (p,) and effects with values and covariance that fit the readings best."""
-    nuisance, p = problem.nuisance, len(problem.nuisance.names)
-    mean = np.append(nuisance.mean, np.zeros(len(coefficients(active))))
-    sd = np.append(nuisance.sd, prior_sds(active))
-    known = np.isfinite(sd)
-    scale = np.where(known, sd, 1.0)
-    allowed = np.array([name.split()[0] in FRICTION_SD for name in nuisance.names])
-    columns = np.where(allowed, 0.0, nuisance.columns)
-    moving = any(one.effect.name == DELAY for one in active)
-    start = _Point(problem, mean[:p], active, mean, scale, columns, problem.whitened(columns))
-    found = minimise(start, known.astype(float), Rule(STEPS if moving else 1, rank=RANK))
-    covariance = scale[:, None] * found.last.covariance * scale
-    at = found.at
-    return at.theta, with_coefficients(at.active, coefficients(at.active), covariance[p:, p:])
-
-
 ARCSEC = float(np.degrees(1.0) * 3600.0)
 LEAST_TRAIN, LEAST_TEST = 60, 20  # readings on each side of a fold
 HAVE = frozenset({"approach", "time_s", "tau", "speed"})  # what a motion log brings by itself
@@ -447,9 +430,22 @@ class JointChannel:
 
 
 def fitted(problem: EncoderProblem, active: tuple[Active, ...], rows: NDArray[np.bool_]) -> JointChannel:
-    """The channel of all readings with what fits those of a mask best."""
-    theta, active = fit_encoders(problem.part(rows), active)
-    return JointChannel(problem, theta, active)
+    """The channel of all readings with the nuisance and the effects' values, with their covariance, that fit those of a mask
+    best."""
+    part = problem.part(rows)
+    nuisance, p = part.nuisance, len(part.nuisance.names)
+    mean = np.append(nuisance.mean, np.zeros(len(coefficients(active))))
+    sd = np.append(nuisance.sd, prior_sds(active))
+    known = np.isfinite(sd)
+    scale = np.where(known, sd, 1.0)
+    allowed = np.array([name.split()[0] in FRICTION_SD for name in nuisance.names])
+    columns = np.where(allowed, 0.0, nuisance.columns)
+    moving = any(one.effect.name == DELAY for one in active)
+    start = _Point(part, mean[:p], active, mean, scale, columns, part.whitened(columns))
+    found = minimise(start, known.astype(float), Rule(STEPS if moving else 1, rank=RANK))
+    covariance = scale[:, None] * found.last.covariance * scale
+    at = found.at
+    return JointChannel(problem, at.theta, with_coefficients(at.active, coefficients(at.active), covariance[p:, p:]))
 
 
 def joint_channel(
