@@ -11,8 +11,9 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from ocp.effects.context import ContactContext, LogRows
+from ocp.effects.context import ArmContext, ContactContext, LogRows
 from ocp.effects.effect import Parameter, Scanned, Surroundings, amplitude_and_phase, cosine_and_sine
+from robots.gravity import GRAVITY
 from robots.pose import Array
 
 Form = dict[str, Any]  # by name of the field
@@ -33,6 +34,16 @@ def at_joint(joint: int, *columns: Any) -> ca.SX:
 def row(*columns: Any) -> ca.SX:
     """(1, m)."""
     return ca.horzcat(*(ca.SX(c) for c in columns))
+
+
+def hanging_moment(x: ArmContext, joint: int) -> ca.SX:
+    """Moment (3) N m, base axes, of all weight beyond an axis about the origin of the link before it."""
+    total = ca.SX.zeros(3)
+    weights = [(i, x.link_mass[i], ca.SX(x.link_com[i])) for i in range(joint, 7)] + [(6, x.payload[0], x.payload[1:4])]
+    for link, mass, com in weights:
+        lever = x.frames[link][:3, 3] + x.frames[link][:3, :3] @ com - x.frames[joint - 1][:3, 3]
+        total += mass * GRAVITY * ca.cross(lever, ca.SX(x.down))
+    return total
 
 
 def after(time: ca.SX, instant: Any) -> ca.SX:

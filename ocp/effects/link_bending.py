@@ -6,27 +6,13 @@ root and that at the tip: root_share 1/2 for an even beam, 1 for one that gives 
 arm up to axis 3, link 3 the forearm up to the wrist centre.
 """
 
-from typing import Any
-
 import casadi as ca
 
 from ocp.effects.context import ArmContext
 from ocp.effects.effect import Effect, Parameter, Scanned
-from ocp.effects.forms import proportional, tried
-from robots.gravity import GRAVITY
+from ocp.effects.forms import hanging_moment, proportional, tried
 
 EVEN = 0.5
-
-
-def _tip_moment(x: ArmContext, axis: Any) -> Any:
-    """Moment N m about `axis` at the wrist centre of what hangs beyond it: links 5, 6 and the payload."""
-    moment = ca.SX(0)
-    weights = [(5, x.link_mass[5], ca.SX(x.link_com[5])), (6, x.link_mass[6], ca.SX(x.link_com[6]))]
-    weights.append((6, x.payload[0], x.payload[1:4]))
-    for link, mass, com in weights:
-        lever = x.frames[link][:3, 3] + x.frames[link][:3, :3] @ com - x.frames[4][:3, 3]
-        moment += mass * GRAVITY * ca.dot(axis, ca.cross(lever, ca.SX(x.down)))
-    return moment
 
 
 def _beam(x: ArmContext, j: int, scanned: Scanned) -> dict[int, ca.SX]:
@@ -37,7 +23,7 @@ def _beam(x: ArmContext, j: int, scanned: Scanned) -> dict[int, ca.SX]:
     tip = 2 if j == 2 else 4
     axis, start, end = x.frames[j - 1][:3, 2], x.frames[j - 1][:3, 3], x.frames[tip][:3, 3]
     root_moment = x.sign[j - 1] * x.tau[j - 1]
-    tip_moment = x.sign[2] * x.tau[2] * ca.dot(axis, x.frames[2][:3, 2]) if j == 2 else _tip_moment(x, axis)
+    tip_moment = x.sign[2] * x.tau[2] * ca.dot(axis, x.frames[2][:3, 2]) if j == 2 else ca.dot(axis, hanging_moment(x, 5))
     turn = share * root_moment + (1 - share) * tip_moment
     sag = 0.5 * turn + share * (1 - share) * (root_moment - tip_moment) / 3.0
     return {tip: ca.vertcat(sag * ca.cross(axis, end - start), turn * axis)}

@@ -32,9 +32,8 @@ import numpy as np
 
 from ocp.effects.context import SETTLING, ArmContext, ContactContext, TrackerContext
 from ocp.effects.effect import Active, Effect, Scanned
-from ocp.effects.forms import at_joint
+from ocp.effects.forms import at_joint, hanging_moment
 from robots.errors import shown
-from robots.gravity import GRAVITY
 from robots.pose import Array
 
 PATCH = "patch "  # effects of this name are made, not listed
@@ -176,11 +175,7 @@ def conditions_of_arm(x: ArmContext) -> Condition:
 
 def moment(x: ArmContext, joint: int) -> tuple[Any, Any]:
     """Moments N m of all weight beyond an axis about x and y of the link before it."""
-    before, total = x.frames[joint - 1], ca.SX.zeros(3)
-    weights = [(i, x.link_mass[i], ca.SX(x.link_com[i])) for i in range(joint, 7)] + [(6, x.payload[0], x.payload[1:4])]
-    for link, mass, com in weights:
-        lever = x.frames[link][:3, 3] + x.frames[link][:3, :3] @ com - before[:3, 3]
-        total += mass * GRAVITY * ca.cross(lever, ca.SX(x.down))
+    before, total = x.frames[joint - 1], hanging_moment(x, joint)
     return ca.dot(total, before[:3, 0]), ca.dot(total, before[:3, 1])
 
 
