@@ -26,7 +26,7 @@ from ocp.diagnose.engine.channel_system import Channel, ReadingConditions, Seale
 from ocp.diagnose.engine.findings import Alternative, Diagnosis
 from ocp.diagnose.foresee.anticipated import signal_gap
 from ocp.diagnose.foresee.next_experiment import next_experiments
-from ocp.diagnose.foresee.patched import beside_unknown, patched, unnamed, with_patch
+from ocp.diagnose.foresee.patched import beside_unknown, patched, prediction, unnamed, with_patch
 from ocp.diagnose.report.verdict_sentence import diagnosis_headline, not_written, told_as
 from ocp.diagnose.rules import FOLLOWED_FORCE
 from ocp.diagnose.tracker.channel import TrackerChannel
@@ -149,23 +149,22 @@ def answer_of(folder: Path, phases: Phases, known: dict[str, Effect] | None = No
     told = [n for channel in channels for n in getattr(getattr(channel, "problem", None), "notices", ())]
     blind = tuple(dict.fromkeys((*(n for n in told if blinds(n)), *data.blind, *grouped(found.blind))))
     notices = tuple(dict.fromkeys((*data.notices, *(n for n in told if not blinds(n)))))
-    written = _at_rest(found, promised(found, gaps))
+    written, fitted = _at_rest(found, promised(found, gaps))
     with phases.phase("patch"):
         unknown = unnamed(found, written)
         named = next((g.shrinkage for g in gaps if written and unknown is not None and g.name == unknown.after.name), None)
         patch = None if unknown is None else patched(unknown, named, asked.get(unknown.after.name))
-    return Answer(data, found, gaps, experiments, blind, notices, dict(phases.seconds), asked, written, unknown, patch)
+    return Answer(data, found, gaps, experiments, blind, notices, dict(phases.seconds), asked, written, fitted, unknown, patch)
 
 
-def _at_rest(found: Diagnosis, written: tuple[Active, ...]) -> tuple[Active, ...]:
-    """The effects that are to be written, where a fit with them and no others comes to rest; else none."""
-    if effects_key(written) != effects_key(found.active):
-        try:
-            for channel in found.baseline if written else ():
-                channel.with_active(written)
-        except Infeasible:
-            return ()
-    return written
+def _at_rest(found: Diagnosis, written: tuple[Active, ...]) -> tuple[tuple[Active, ...], tuple[Channel, ...]]:
+    """The effects that are to be written and the channels with them and no others; where no fit with them comes to rest none."""
+    if effects_key(written) == effects_key(found.active):
+        return written, found.channels
+    try:
+        return written, tuple(c.with_active(written) if written else c for c in found.baseline)
+    except Infeasible:
+        return (), found.baseline
 
 
 def with_either_sign(known: dict[str, Effect], believed: Sequence[Active]) -> dict[str, Effect]:
@@ -194,14 +193,10 @@ def predict_sealed(answer: Answer) -> dict[str, Sealed]:
         channel = next(c for c in answer.diagnosis.channels if c.name == signal)
         least = 0.0 if signal == "tracker" else FOLLOWED_FORCE
         first, *others = seen_by(signal, told)
-        kept = [first, *(a for a in gathered(others, least) if a.probability >= least)]
-        made = []
-        for k, one in enumerate(kept):
-            try:
-                made.append((one.probability, channel.predict(sealed, one.active)))
-            except Infeasible:  # an alternative with which the model comes to no rest predicts nothing
-                if k == 0:
-                    raise
+        made = [(first.probability, channel.predict(sealed, first.active))]
+        for one in gathered(others, least):
+            if one.probability >= least and (other := prediction(channel, sealed, one)) is not None:
+                made.append((one.probability, other))
         same = effects_key(told[0].active) == effects_key(answer.written)
         written = beside_others(made[0][1] if same else channel.predict(sealed, answer.written), made)
         found[signal] = replace(written, named=made[0][1].corrected, beyond=told_beyond(answer.data, signal, sealed))
@@ -210,15 +205,6 @@ def predict_sealed(answer: Answer) -> dict[str, Sealed]:
             if answer.patch is not None:
                 found[signal] = with_patch(found[signal], answer.patch, sealed)
     return found
-
-
-def written_channels(answer: Answer) -> tuple[Channel, ...]:
-    """The channels with the effects that are written, and no others."""
-    d, patch = answer.diagnosis, answer.patch
-    found = d.channels
-    if effects_key(answer.written) != effects_key(d.active):
-        found = tuple(c.with_active(answer.written) if answer.written else c for c in d.baseline)
-    return tuple(patch.channel if patch is not None and c.name == patch.channel.name else c for c in found)
 
 
 def left_out(sealed: dict[str, Sealed]) -> list[str]:
@@ -268,7 +254,7 @@ def write_diagnosis(folder: Path, out: Path, overwrite: bool, phases: Phases, co
                 for signal, told in sealed.items():
                     name = SEALED[signal].replace("sealed", "predictions")
                     write_predictions(made / name, columns_predicted(answer, signal), told)
-                write_corrected_cell(made, out, answer.data, written_channels(answer), answer)
+                write_corrected_cell(made, out, answer)
             with phases.phase("report"):
                 (made / "report.html").write_bytes(page())
     return DiagnosisResult(out, answer, sealed, last_line(answer, out))
@@ -326,7 +312,7 @@ def lean(answer: Answer) -> Answer:
     before, after = tuple(g.baseline for g in gaps), tuple(g.corrected for g in gaps)
     patch = None if answer.patch is None else replace(answer.patch, channel=_shown(answer.patch.channel))
     found = replace(answer.diagnosis, baseline=before, channels=after)
-    return replace(answer, gaps=gaps, diagnosis=found, asked=dict.fromkeys(answer.asked), unknown=None, patch=patch)
+    return replace(answer, gaps=gaps, diagnosis=found, asked=dict.fromkeys(answer.asked), fitted=(), unknown=None, patch=patch)
 
 
 def _shown(channel: Channel) -> Channel:

@@ -5,7 +5,7 @@ the cell as calibration.toml, what force readings moved (wheel, blade frame) in 
 """
 
 import shutil
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -31,14 +31,15 @@ from robots.toml_files import toml_text
 CALIBRATION = "calibration.toml"
 
 
-def write_corrected_cell(folder: Path, out: Path, data: DataSet, channels: Sequence[Channel], answer: Answer) -> None:
+def write_corrected_cell(folder: Path, out: Path, answer: Answer) -> None:
     """Write corrected_cell.toml and its calibration into `folder`, which will stand at `out`."""
+    data = answer.data
     source = data.folder / CELL
     tables = cell_tables_for(source, out, data.cell.workpiece.stl if data.cell is not None else None)
     tables.pop("effects", None)
     tables.pop("patches", None)
     robot = tables["robot"]
-    calibration = calibration_of(channels, data)
+    calibration = calibration_of(answer.channels, data)
     if calibration is not None:
         write_calibration(folder / CALIBRATION, calibration)
         robot["calibration"] = CALIBRATION
@@ -103,15 +104,14 @@ def _ends(**columns: Array | None) -> dict[str, float]:
     return {name: float(np.nanmax(v) if name in ("time_s", "clock_s") else v[np.isfinite(v)][-1]) for name, v in last.items()}
 
 
-def calibration_of(channels: Sequence[Channel], data: DataSet) -> Calibration | None:
+def calibration_of(channels: Mapping[str, Channel], data: DataSet) -> Calibration | None:
     """The refitted arm, and contact where a force channel has refitted it, with what the believed calibration knows besides
     (wheel and blade beside an arm, the tracker's frame beside a contact); None where neither was measured."""
-    by_signal = {channel.name: channel for channel in channels}
-    tracker = _of_arm(by_signal["tracker"], data) if "tracker" in by_signal else None
+    tracker = _of_arm(channels["tracker"], data) if "tracker" in channels else None
     known = data.setup.calibration
-    if "force" not in by_signal:
+    if "force" not in channels:
         return None if tracker is None else carried_over(tracker, known)
-    return carried_over(_of_contact(by_signal["force"], data), known if tracker is None else tracker)
+    return carried_over(_of_contact(channels["force"], data), known if tracker is None else tracker)
 
 
 def _of_contact(channel: Channel, data: DataSet) -> Calibration:

@@ -82,7 +82,7 @@ def test_a_corrected_arm_says_what_bends_and_keeps_the_wheel(tmp_path, others):
     cell = tmp_path / "cell.toml"
     cell.write_text(cell.read_text().replace("[robot]", '[robot]\ncalibration = "before.toml"', 1))
     data = read_data_set(tmp_path)
-    made = calibration_of([tracker_channel(data)], data)
+    made = calibration_of({"tracker": tracker_channel(data)}, data)
     assert made.bending_joints == ((2, 3, 4, 5, 6) if others else (2, 3))
     assert made.values[made.names.index("wheel_x")] == pytest.approx(2e-3)
 

@@ -148,7 +148,7 @@ def beside_unknown(told: Sealed, found: Unnamed, sealed: Any, known: Sequence[Al
     for one in found.others:
         share = one.probability - counted.get(effects_key(one.active), 0.0)
         if share > 0:
-            other = _prediction(found.after, sealed, one)
+            other = prediction(found.after, sealed, one)
             if other is None:
                 continue
             more = np.maximum(other.sigma**2 - told.sigma**2, 0.0)  # what the conditions lack for it
@@ -156,7 +156,7 @@ def beside_unknown(told: Sealed, found: Unnamed, sealed: Any, known: Sequence[Al
     return replace(told, sigma=np.sqrt(variance))
 
 
-def _prediction(channel: Channel, sealed: Any, one: Alternative) -> Sealed | None:
+def prediction(channel: Channel, sealed: Any, one: Alternative) -> Sealed | None:
     """By an alternative; None where no fit with it comes to rest."""
     try:
         return channel.predict(sealed, one.active)
@@ -169,7 +169,7 @@ def with_patch(told: Sealed, found: Patched, sealed: Any) -> Sealed:
     main = found.channel.predict(sealed, found.channel.active)
     variance = main.sigma**2
     for one in found.others:
-        other = _prediction(found.channel, sealed, one)
+        other = prediction(found.channel, sealed, one)
         if other is not None:
             variance = variance + one.probability * (other.corrected - main.corrected) ** 2
     open_, inside = beyond(found.channel, found.patches, sealed)

@@ -232,22 +232,15 @@ def placed_readings(task: Task, state: State, active: Sequence[Active], point: A
 
 @dataclass(frozen=True)
 class _Point:
-    """A point of the search (`robots.gauss_newton`): as `TrackerFit`, before its covariance is known."""
+    """A point of the search (`robots.gauss_newton`): a fit before its covariance is known."""
 
     task: Task
-    state: State
-    offset: Array
-    active: tuple[Active, ...]
-    noise: Noise
-    linear: Linearised
-    extra: Array
-    W: Array
-    weight: Array
+    fit: TrackerFit
 
     @cached_property
     def prior_sd(self) -> Array:
         """Of all unknowns, coefficients last; inf: free."""
-        return np.concatenate([self.task.layout.prior_sd, prior_sds(self.active)])
+        return np.concatenate([self.task.layout.prior_sd, prior_sds(self.fit.active)])
 
     @cached_property
     def scale(self) -> Array:
@@ -257,28 +250,29 @@ class _Point:
 
     @property
     def z(self) -> Array:
-        return np.concatenate([self.offset, coefficients(self.active)]) / self.scale
+        return np.concatenate([self.fit.offset, coefficients(self.fit.active)]) / self.scale
 
     def reweighted(self) -> "_Point":
-        c = self.task.campaign
-        W = whitener(reading_covariance(c.readings, c.instrument, self.noise, self.linear.d_joints))
-        squared = np.einsum("nij,nj->ni", W, self.linear.residual)
+        c, linear = self.task.campaign, self.fit.linear
+        W = whitener(reading_covariance(c.readings, c.instrument, self.fit.noise, linear.d_joints))
+        squared = np.einsum("nij,nj->ni", W, linear.residual)
         weight = reliability((squared**2).sum(axis=1))
-        return replace(self, W=W * np.sqrt(weight)[:, None, None], weight=weight)
+        return replace(self, fit=replace(self.fit, W=W * np.sqrt(weight)[:, None, None], weight=weight))
 
     def residual(self) -> Array:
-        return np.einsum("nij,nj->ni", self.W, self.linear.residual).ravel()
+        return np.einsum("nij,nj->ni", self.fit.W, self.fit.linear.residual).ravel()
 
     def linearised(self) -> tuple[Array, Array]:
-        columns = self.W @ np.concatenate([self.linear.J, self.extra], axis=2)
+        columns = self.fit.W @ np.concatenate([self.fit.linear.J, self.fit.extra], axis=2)
         return self.residual(), columns.reshape(-1, len(self.scale)) * self.scale
 
     def moved(self, change: Array) -> "_Point":
-        step, size = self.scale * change, self.task.layout.size
-        state = moved(self.task.layout, self.state, step[:size])
-        active = with_coefficients(self.active, coefficients(self.active) + step[size:])
+        step, size, fit = self.scale * change, self.task.layout.size, self.fit
+        state = moved(self.task.layout, fit.state, step[:size])
+        active = with_coefficients(fit.active, coefficients(fit.active) + step[size:])
         linear, extra = linearise_with(self.task, state, active)
-        return replace(self, state=state, offset=self.offset + step[:size], active=active, linear=linear, extra=extra)
+        offset = fit.offset + step[:size]
+        return replace(self, fit=replace(fit, state=state, offset=offset, active=active, linear=linear, extra=extra))
 
 
 def _settled(
@@ -292,13 +286,13 @@ def _settled(
     """Gauss-Newton until a step is small against the posterior; here: `linearise_with` at the beginning where it is known."""
     linear, extra = linearise_with(task, state, active) if here is None else here
     none = np.zeros(0)
-    start = _Point(task, state, offset, active, noise, linear, extra, none, none)
+    start = _Point(task, TrackerFit(state, offset, active, linear, extra, none, none, noise, none))
     known = np.isfinite(start.prior_sd)
     found = minimise(start, known.astype(float), Rule(STEPS, SETTLED**2 * len(known), rank=RANK))
-    at, scale, size = found.at, start.scale, task.layout.size
+    at, scale, size = found.at.fit, start.scale, task.layout.size
     covariance = scale[:, None] * found.last.covariance * scale[None, :]
     named = with_coefficients(at.active, coefficients(at.active), covariance[size:, size:])
-    return TrackerFit(at.state, at.offset, named, at.linear, at.extra, at.W, at.weight, noise, covariance)
+    return replace(at, active=named, covariance=covariance)
 
 
 def believed_baseline(

@@ -71,7 +71,8 @@ class Patched:
 @dataclass(frozen=True)
 class Answer:
     """Diagnosis of a data set with the gap of every signal, what to measure next, what cannot be seen, seconds by phase; asked:
-    conditions to predict, by signal; written: named effects that the corrected cell holds; unknown: what is there under no name;
+    conditions to predict, by signal; written: named effects that the corrected cell holds; fitted: the channels with them and no
+    others; unknown: what is there under no name;
     patch: of it, where it is written too."""
 
     data: DataSet
@@ -83,6 +84,7 @@ class Answer:
     seconds: dict[str, float]
     asked: Mapping[str, Any]
     written: tuple[Active, ...] = ()
+    fitted: tuple[Channel, ...] = ()
     unknown: Unnamed | None = None
     patch: Patched | None = None
 
@@ -90,6 +92,12 @@ class Answer:
     def corrections(self) -> tuple[Active, ...]:
         """All that the corrected cell holds: names, and the patch."""
         return self.written if self.patch is None else (*self.written, *self.patch.patches)
+
+    @property
+    def channels(self) -> dict[str, Channel]:
+        """By signal, as the corrected cell has them."""
+        patched = {} if self.patch is None else {self.patch.channel.name: self.patch.channel}
+        return {c.name: c for c in self.fitted} | patched
 
 
 def promised(diagnosis: Diagnosis, gaps: Sequence[SignalGap]) -> tuple[Active, ...]:
