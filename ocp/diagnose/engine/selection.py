@@ -219,15 +219,6 @@ def _scale(c: Candidate) -> Array:
     return np.asarray(c.effect.prior_sd, float)
 
 
-@dataclass(frozen=True)
-class SelectedLinearisation:
-    """Linearisation about the selected names, their sets weighed, and what was refused with the fold that did."""
-
-    problem: Linearisation
-    search: Search
-    refused: tuple[tuple[Name, str], ...]
-
-
 def misses_far_more_than_noise(problem: Linearisation, search: Search) -> bool:
     """Whether names must be selected on held-out error: the only channel says that noise is far above the usual, even with all
     that the best set of names and kernels explains."""
@@ -238,8 +229,11 @@ def misses_far_more_than_noise(problem: Linearisation, search: Search) -> bool:
     return channels[0].restless(float(np.sqrt(left / problem.pool.freedom)))
 
 
-def select_effects(channel: Channel, library: Mapping[str, Effect], options: Options) -> SelectedLinearisation:
-    """Names of a channel fitted without effects, by held-out errors; refused ones are barred from the library.
+def select_effects(
+    channel: Channel, library: Mapping[str, Effect], options: Options
+) -> tuple[Linearisation, Search, tuple[tuple[Name, str], ...]]:
+    """Names of a channel fitted without effects, by held-out errors; refused ones are barred from the library. The linearisation
+    about the selected names, their sets weighed, and what was refused with the fold that did.
 
     Twice: what is found first (springs, mostly) leaves the geometry, whose prior is as wide as what it had to follow, narrower.
     """
@@ -264,7 +258,7 @@ def select_effects(channel: Channel, library: Mapping[str, Effect], options: Opt
             search.add(names | {int(k)}, there.members)
             for family in names:
                 search.add((names - {family}) | {int(k)}, there.members)
-    return SelectedLinearisation(problem, search, refused)
+    return problem, search, refused
 
 
 def _active(found: SelectedEffects, library: Mapping[str, Effect]) -> tuple[Active, ...]:

@@ -128,14 +128,13 @@ def from_grinding(
     held: Sequence[HeldOut] = (),
     unknown: float = 0.0,
     carried: tuple[float, float] | None = None,
-    seed: int = 0,
 ) -> Shrinkage | None:
     """Of force readings: what is anticipated; noise: mean square N^2. Drawn are which alternative is true, how late the readings
     come, of which recordings they are, the unknowns' errors, what is there under no name; `carried`: and which share (mean, sd)
     of what alternatives add to the last one is there again. Folds alone do not say whether
     something is: gross readings leave as much. None: no gap to speak of."""
-    rng = np.random.default_rng(seed)
-    there = None if carried is None else np.random.default_rng(seed).normal(*carried, DRAWS)[:, None]
+    rng = np.random.default_rng(0)
+    there = None if carried is None else np.random.default_rng(0).normal(*carried, DRAWS)[:, None]
     errors = drawn_errors(new.covariance, rng)
     true = rng.choice(len(new.probability), DRAWS, p=new.probability)
     when = rng.choice(len(new.share), DRAWS, p=new.share)

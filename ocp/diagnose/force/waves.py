@@ -163,9 +163,7 @@ def likely_trains(problem: ForceProblem, fit: EffectFit) -> SpliceTrains:
     steps = np.diff(log.time)[np.diff(log.run) == 0]
     if not fit.residual.any():
         return SpliceTrains((), USUAL_TRAINS)
-    if not (c.belt[log.contact] != 0).any():  # a belt that stands knocks nowhere
-        return SpliceTrains((), 1)
-    if not len(steps) or np.median(steps) <= 0:
+    if not (c.belt[log.contact] != 0).any() or not len(steps) or np.median(steps) <= 0:  # a belt that stands knocks nowhere
         return SpliceTrains((), 1)
     y = _scores(problem, fit)
     size = _sizes(problem, fit)

@@ -41,9 +41,9 @@ class Background:
         return np.asarray(self.draws.mean(axis=0))
 
 
-def background(task: Task, fit: TrackerFit, seed: int = 0) -> Background:
+def background(task: Task, fit: TrackerFit) -> Background:
     """The background that a fit's residual shows, its named effects taken out."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     n = len(task.campaign.readings)
     rows = np.unique(np.linspace(0, n - 1, min(n, MOST)).astype(np.int64))
     D = fit.linear.d_joints[rows]

@@ -28,14 +28,14 @@ LEAST = 8  # readings on each side of a fold that is made
 OWN_STAND = ("session", "station")  # folds whose readings may stand by themselves
 
 
-def tracker_folds(readings: Readings, seed: int = 0) -> list[Fold]:
+def tracker_folds(readings: Readings) -> list[Fold]:
     """Random and regional parts (repeats stay together), then payloads, sessions, warm and late readings, halves of joints'
     ranges, approach from one side."""
     r = readings
     group = r.repeats()
-    part = np.random.default_rng(seed).permutation(np.arange(group.max() + 1) % PARTS)[group]
+    part = np.random.default_rng(0).permutation(np.arange(group.max() + 1) % PARTS)[group]
     found = [Fold(f"random={k + 1}", "random", part == k) for k in range(PARTS)]
-    _, label = kmeans2(r.q[:, :3], PARTS, seed=seed, minit="++")
+    _, label = kmeans2(r.q[:, :3], PARTS, seed=0, minit="++")
     found += [Fold(f"block={k + 1}", "block", label == k) for k in np.unique(label)]
     for kind, index, names in (("payload", r.payload, r.payloads), _sessions(r)):
         if len(np.unique(index)) > 1:

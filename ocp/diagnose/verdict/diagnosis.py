@@ -12,7 +12,7 @@ from ocp.diagnose.engine.beam import NOTHING, Search, Weighed
 from ocp.diagnose.engine.channel_system import Channel, Resting, Scattering, WeighedReadings
 from ocp.diagnose.engine.findings import Diagnosis, Explanation, KernelTest, Location, Name, Options, Ranked, Screened
 from ocp.diagnose.engine.linearisation import Linearisation, linearised, names_of, smallest_seen, stacked_columns
-from ocp.diagnose.engine.pool import Family, Given, given
+from ocp.diagnose.engine.pool import Family, given
 from ocp.diagnose.engine.search import Diverged, search_and_refit
 from ocp.diagnose.engine.selection import misses_far_more_than_noise, select_effects
 from ocp.diagnose.verdict.doubts import cancelling, errors_of_folds, implausible, refitted
@@ -53,8 +53,8 @@ def diagnose_channels(channels: Sequence[Channel], library: Mapping[str, Effect]
     if 0 < len(spoilt) < len(baseline):
         return _scattering(_without(spoilt, baseline, library, options), *(f"{name}: {NONE_RESTS}" for name in spoilt))
     if _unknown_leads(problem, search):
-        selected = select_effects(_thinned(baseline[0], rules.SELECTED_ON), library, options)
-        return _scattering(findings(baseline, first, selected.problem, selected.search, library, options, selected.refused))
+        problem, search, refused = select_effects(_thinned(baseline[0], rules.SELECTED_ON), library, options)
+        return _scattering(findings(baseline, first, problem, search, library, options, refused))
     found = findings(baseline, first, problem, search, library, options)
     whys = (*(f"{n}: {NO_REST}" for n in diverged.names()), *(f"{name}: {NONE_RESTS}" for name in spoilt))
     return _scattering(replace(found, unknown_reasons=tuple(dict.fromkeys((*found.unknown_reasons, *whys)))))
@@ -124,7 +124,8 @@ def findings(
     hurting = [(n, f"hurts where {f} is left out") for n, f in refused]
     nothing, all_of_it = given(problem.pool, ()), problem.taken(search.sets[search.best()[0]])
     tests = kernel_tests(problem, nothing) if options.where else []
-    after = kernel_tests(problem, named_part(problem, weighed)) if options.where and active else tests
+    known = Weighed(0.0, tuple(problem.named(weighed)))
+    after = kernel_tests(problem, problem.taken(known)) if options.where and active else tests
     return Diagnosis(
         explanations=explanations(found, classes),
         ranking=ranked,
@@ -168,11 +169,6 @@ def leader(problem: Linearisation, search: Search, found: Posterior) -> tuple[We
             together[names] = sum(found.probability[n] for n in alike)
     best = max(ordered, key=lambda n: (round(together[n], 3), found.probability[n]))
     return (NOTHING, ()) if found.p_none >= together[best] else (found.best[best], best)
-
-
-def named_part(problem: Linearisation, weighed: Weighed) -> Given:
-    """The library's members of a set as given, priors at the upper ends."""
-    return problem.taken(Weighed(0.0, tuple(problem.named(weighed))))
 
 
 def signature(problem: Linearisation, weighed: Weighed, one: Active) -> Array:

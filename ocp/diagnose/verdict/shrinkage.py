@@ -73,16 +73,16 @@ def realised(before: float, after: float, noise: float) -> float | None:
 
 
 def from_model(
-    new: Anticipated, held: Sequence[HeldOut], noise: float, carried: tuple[float, float] | None = None, seed: int = 0
+    new: Anticipated, held: Sequence[HeldOut], noise: float, carried: tuple[float, float] | None = None
 ) -> Shrinkage | None:
     """Of tracker readings: what is anticipated, folds for what the effects leave unexplained, noise: mean square m^2. Drawn are
     which alternative is true, payloads and temperature, postures, parameters' errors and the joints' lasting errors; `carried`:
     and which share (mean, sd) of what alternatives add to the last one is there in new readings. None: no gap to speak of."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     errors = drawn_errors(new.covariance, rng)
     lasting = new.lasting[rng.integers(len(new.lasting), size=DRAWS)]
     true = rng.choice(len(new.probability), DRAWS, p=new.probability)
-    there = None if carried is None else np.random.default_rng(seed).normal(*carried, DRAWS)[:, None, None]
+    there = None if carried is None else np.random.default_rng(0).normal(*carried, DRAWS)[:, None, None]
     after, before = np.zeros(DRAWS), np.zeros(DRAWS)
     for share, g in zip(_conditions(new, rng).T, new.groups, strict=True):
         n = g.errors.shape[0]
@@ -118,7 +118,7 @@ def _conditions(new: Anticipated, rng: np.random.Generator) -> Array:
     return np.asarray(mixture[:, of] * (rank == chosen[:, None]))
 
 
-def from_folds(held: Sequence[HeldOut], estimation: float, seed: int = 0) -> Shrinkage | None:
+def from_folds(held: Sequence[HeldOut], estimation: float) -> Shrinkage | None:
     """Of one signal from its folds; estimation: mean square SI^2 that the parameters' errors leave in any case. None where the
     gap is below a fifth of the noise or nothing could be left out."""
     inside = [h for h in held if not h.fold.extrapolates]
@@ -130,7 +130,7 @@ def from_folds(held: Sequence[HeldOut], estimation: float, seed: int = 0) -> Shr
     before, after, noise = (float(np.mean(np.concatenate([getattr(h, k) for h in inside]))) for k in _ROWS)
     if realised(before, after, noise) is None:
         return None
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     found = [_drawn(rng, inside, estimation, DRAWS)]
     judged = [h for h in outside if realised(h.before, h.after, h.noise) is not None]
     if judged:
@@ -173,14 +173,14 @@ def promised_by_kind(held: Sequence[HeldOut]) -> dict[str, Shrinkage]:
     return {kind: interval(draws) for kind, draws in drawn.items() if len(draws)}
 
 
-def promised_later(told: Shrinkage, chosen: bool, seed: int = 0) -> Shrinkage:
+def promised_later(told: Shrinkage, chosen: bool) -> Shrinkage:
     """A promise for another day: a share g of what the names explain is there again, whatever else stays,
 
         before^2 = rest^2 + g^2 D^2,   after^2 = rest^2 + (1 - g)^2 D^2,   rest = 1 - shrinkage,  D^2 = 1 - rest^2,
 
     g ~ N(mean, sd^2) as `rules.CARRIED` has it, for names `chosen` on held-out errors or not."""
     mean, sd = rules.CARRIED_CHOSEN if chosen else rules.CARRIED
-    g = np.random.default_rng(seed).normal(mean, sd, len(told.draws))
+    g = np.random.default_rng(0).normal(mean, sd, len(told.draws))
     rest = (1.0 - told.draws) ** 2
     named = np.maximum(1.0 - rest, 0.0)
     return interval(np.where(named > 0, 1.0 - np.sqrt((rest + (1.0 - g) ** 2 * named) / (rest + g**2 * named)), told.draws))
