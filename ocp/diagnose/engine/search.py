@@ -30,7 +30,7 @@ from ocp.diagnose.engine.channel_system import Channel, WeighedReadings, effects
 from ocp.diagnose.engine.evidence import log_evidence
 from ocp.diagnose.engine.findings import Name, Options
 from ocp.diagnose.engine.linearisation import Linearisation, linearised, stacked_columns
-from ocp.diagnose.engine.pool import Given, Member, given
+from ocp.diagnose.engine.pool import Given, Member, given, squares
 from ocp.diagnose.engine.selection import misses_far_more_than_noise
 from ocp.diagnose.rules import OUTLIERS_OF_ONE_CAUSE, RECHECKED, SHARPER_GAIN
 from ocp.effects.effect import Active, Effect, Scanned
@@ -230,13 +230,8 @@ def _evidence(problem: Linearisation, others: Given, effect: Effect, joint: int,
     columns, _ = stacked_columns(problem.channels, effect, joint, scans)
     n, V, m = columns.shape
     scale = np.asarray(effect.prior_sd, float)
-    X = problem.stack.apply((columns * scale).reshape(n, V * m)).reshape(n, V, m)
-    y = problem.pool.y
-    U, take = others.directions
-    P = np.einsum("nr,nvi->rvi", U, X)
-    held = take[:, None, None] * P
-    G = np.einsum("nvi,nvj->vij", X, X) - np.einsum("rvi,rvj->vij", P, held)
-    b = np.einsum("nvi,n->vi", X, y) - np.einsum("rvi,r->vi", held, U.T @ y)
+    X = others.after(problem.stack.apply((columns * scale).reshape(n, V * m))).reshape(n, V, m)
+    G, b = squares(X), np.einsum("nvi,n->vi", X, others.after(problem.pool.y))
     log = log_evidence(G, b, np.ones((V, 1)), np.zeros((V, m), bool), others.left, problem.pool.freedom)[:, 0]
     means = np.linalg.solve(G + np.eye(m), b[..., None])[..., 0] * scale
     return log, means
