@@ -18,7 +18,7 @@ from threadpoolctl import threadpool_limits
 
 from ocp.diagnose.answering import answer_of, tracker_channel
 from ocp.diagnose.dataset import DataSet, read_data_set, read_sealed
-from ocp.diagnose.engine.channel_system import HeldOut
+from ocp.diagnose.engine.channel_system import SCALE, HeldOut
 from ocp.diagnose.engine.evidence import stack
 from ocp.diagnose.engine.findings import Options
 from ocp.diagnose.engine.linearisation import candidates
@@ -27,7 +27,6 @@ from ocp.diagnose.report.verdict_sentence import diagnosis_headline
 from ocp.diagnose.rules import MOST_SEARCHED
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.diagnose.verdict.diagnosis import diagnose_channels
-from ocp.diagnose.verdict.remaining import SCALE
 from ocp.diagnose.verdict.shrinkage import ANOTHER_DAY
 from ocp.effects.catalogue import library
 from ocp.effects.effect import Active

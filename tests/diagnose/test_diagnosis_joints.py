@@ -8,9 +8,9 @@ import pytest
 
 from ocp.diagnose.answering import answer_of, columns_predicted, predict_sealed, write_predictions
 from ocp.diagnose.dataset import read_data_set
-from ocp.diagnose.engine.channel_system import Fold, HeldOut
+from ocp.diagnose.engine.channel_system import SCALE, Fold, HeldOut
 from ocp.diagnose.engine.findings import Name
-from ocp.diagnose.joints.channel import ARCSEC, joint_channel
+from ocp.diagnose.joints.channel import joint_channel
 from ocp.diagnose.joints.log import read_joint_log
 from ocp.diagnose.joints.signals import BLOCK, EncoderNoise, covariance, factors, whiten_blocks
 from ocp.diagnose.verdict.diagnosis import diagnose_channels
@@ -40,8 +40,8 @@ def test_a_delay_is_found_to_a_hundredth_of_a_step(tmp_path):
     found = channel.with_active((fresh("channel_delay", 0),))
     (one,) = found.active
     assert abs(one.a[0] - 7.3e-3) < 1e-4  # recorded every 10 ms
-    assert found.gap().std() * ARCSEC < 1.3  # 1.03 arcsec were added
-    assert channel.gap().std() * ARCSEC > 100
+    assert found.gap().std() * SCALE["arcsec"] < 1.3  # 1.03 arcsec were added
+    assert channel.gap().std() * SCALE["arcsec"] > 100
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
@@ -53,7 +53,7 @@ def test_either_sign_of_the_torques_gives_the_same_springs(tmp_path, sign):
 
 def test_the_noise_is_what_was_added(tmp_path):
     channel = channel_of(tmp_path, seed=4, delay=3e-3, compliance=4e-7)
-    assert abs(channel.noise_floor / (5e-6 * ARCSEC) - 1) < 0.1
+    assert abs(channel.noise_floor / (5e-6 * SCALE["arcsec"]) - 1) < 0.1
     whole = channel.with_active((fresh("channel_delay", 0),)).system.residual
     assert 0.8 < np.mean(whole**2) < 1.2
 
@@ -99,9 +99,9 @@ def test_the_real_kuka_has_a_lag_behind_its_springs(tmp_path, shared_data):
     log = read_joint_log(tmp_path / "joints.csv")
     assert log.joints == (1, 2, 3) and len(log) == 2501
     channel = joint_channel(log, load_robot("kr210_r2700_extra"), PAYLOADS["bare"])
-    alone = channel.gap().std() * ARCSEC  # springs refitted
+    alone = channel.gap().std() * SCALE["arcsec"]  # springs refitted
     found = channel.with_active((fresh("channel_delay", 0),))
-    assert 50 < alone < 130 and found.gap().std() * ARCSEC < 25
+    assert 50 < alone < 130 and found.gap().std() * SCALE["arcsec"] < 25
     assert 2e-3 < found.active[0].a[0] < 4e-3
     blocks = [found.held_out(f, found.active) for f in found.folds() if f.kind == "block"]
     before, after, noise = (np.mean([getattr(h, k) for h in blocks]) for k in ("before", "after", "noise"))

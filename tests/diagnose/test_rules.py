@@ -15,6 +15,7 @@ FILE = ROOM / "rules.py"
 # Constants with broken numbers that decide nothing: tolerances of solvers, shapes of features, imagined measurements, formats.
 ELSEWHERE = {
     "answering.py": {"PREDICTED"},
+    "engine/channel_system.py": {"SCALE"},
     "engine/evidence.py": {"RANK", "_LAMBDA"},
     "engine/kernels.py": {"SOFT", "LOADED", "RIPPLES"},
     "force/prediction.py": {"TOLERANCE"},
@@ -37,11 +38,9 @@ ELSEWHERE = {
         "STEP",
     },
     "foresee/planned_tracker.py": {"PER_READING", "SETTLING", "PULL", "WARM", "WARMED", "DURATION", "TRACKER_AT", "LOW"},
-    "verdict/remaining.py": {"SCALE"},
     "document.py": {"SUM_TOLERANCE"},
-    "verdict/shrinkage.py": {"SI"},
     "verdict/location.py": {"ORDERS"},
-    "joints/channel.py": {"ARCSEC", "RANK"},
+    "joints/channel.py": {"RANK"},
     "joints/log.py": {"MOVED", "APART"},
     "tracker/refit.py": {"SETTLED", "RANK"},
 }

@@ -23,6 +23,9 @@ from ocp.effects.effect import Active, Effect, Scanned, Surroundings, scan_key
 from robots.pose import Array
 from robots.tracker_readings import Index
 
+SCALE = {"mm": 1e3, "N": 1.0, "arcsec": float(np.degrees(1.0) * 3600.0)}
+"""Units in which a gap is told, per SI unit."""
+
 
 @dataclass(frozen=True)
 class Wave:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ocp.diagnose.engine.channel_system import Channel, HeldOut, shows
+from ocp.diagnose.engine.channel_system import SCALE, Channel, HeldOut, shows
 from ocp.diagnose.engine.findings import Alternative, Diagnosis
 from ocp.diagnose.engine.search import outliers
 from ocp.diagnose.foresee.planned_tracker import channel_about
@@ -21,7 +21,7 @@ from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.diagnose.tracker.refit import points_with
 from ocp.diagnose.verdict.answer import SignalGap
 from ocp.diagnose.verdict.patching import seen_by, unfaded
-from ocp.diagnose.verdict.remaining import SCALE, Remaining, remaining
+from ocp.diagnose.verdict.remaining import Remaining, remaining
 from ocp.diagnose.verdict.shrinkage import (
     ANOTHER_DAY,
     NONE,

@@ -21,7 +21,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from ocp.diagnose.engine.channel_system import UNSEEN, Fold, HeldOut, ReadingConditions, Sealed, System, Variants
+from ocp.diagnose.engine.channel_system import SCALE, UNSEEN, Fold, HeldOut, ReadingConditions, Sealed, System, Variants
 from ocp.diagnose.joints.log import JointLog
 from ocp.diagnose.joints.signals import EncoderNoise, Signals, blocks, factors, noise_of, signals_of, whiten_blocks
 from ocp.diagnose.rules import CATALOGUE_SPRING_SD, FRICTION_SD, SPRING_SHARE
@@ -248,7 +248,6 @@ class _Point:
         )
 
 
-ARCSEC = float(np.degrees(1.0) * 3600.0)
 LEAST_TRAIN, LEAST_TEST = 60, 20  # readings on each side of a fold
 HAVE = frozenset({"approach", "time_s", "tau", "speed"})  # what a motion log brings by itself
 BLOCKS = 5
@@ -314,7 +313,7 @@ class JointChannel:
     @property
     def noise_floor(self) -> float:
         """Rms arcsec from instant to instant; what wanders slowly counts as gap."""
-        return ARCSEC * float(np.sqrt(np.mean(self.problem.scatter**2)))
+        return SCALE[self.unit] * float(np.sqrt(np.mean(self.problem.scatter**2)))
 
     @property
     def surroundings(self) -> Surroundings:

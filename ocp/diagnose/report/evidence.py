@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+from ocp.diagnose.engine.channel_system import SCALE
 from ocp.diagnose.engine.findings import KernelTest, Name
 from ocp.diagnose.joints.channel import JointChannel
 from ocp.diagnose.report.verdict_sentence import SHORT, condition_words, effect_words, effects_words, figure, values_words
@@ -100,9 +101,8 @@ def screened_table(answer: Answer) -> Table:
 def folds_table(answer: Answer, gap: SignalGap) -> Table:
     """Every fold: error before and after on what was left out."""
     rows = []
-    scale = {"mm": 1e3, "N": 1.0, "arcsec": 206264.8}[gap.unit]
     for h in answer.diagnosis.held_out.get(gap.name, ()):
-        values = [scale * v**0.5 for v in (h.before, h.after, h.noise)]
+        values = [SCALE[gap.unit] * v**0.5 for v in (h.before, h.after, h.noise)]
         better = "" if h.after <= h.before else "worse"
         rows.append((h.fold.name, h.fold.kind, str(len(h.before_rows)), *(figure(v) for v in values), better))
     columns = ("left out", "kind", "readings", f"rms before, {gap.unit}", "after", "noise", "")

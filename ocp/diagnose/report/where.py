@@ -7,12 +7,12 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import FuncFormatter, NullLocator
 
 from ocp.calibrate.report.view import in_base
+from ocp.diagnose.engine.channel_system import SCALE
 from ocp.diagnose.engine.findings import BudgetLine, SpectrumPeak
 from ocp.diagnose.engine.search import outliers
 from ocp.diagnose.report.verdict_sentence import SHORT, condition_words
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.diagnose.verdict.answer import Answer, SignalGap
-from ocp.diagnose.verdict.remaining import SCALE
 from ocp.report.parts import Plot
 from ocp.report.plotting import Canvas, dots, dressed, panels, reach
 from ocp.report.section import Part, Section

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import chdtrc, fdtrc, ndtri
 
-from ocp.diagnose.engine.channel_system import Channel
+from ocp.diagnose.engine.channel_system import SCALE, Channel
 from ocp.diagnose.engine.evidence import stack
 from ocp.diagnose.engine.findings import KernelTest
 from ocp.diagnose.engine.search import outliers
@@ -20,9 +20,6 @@ from ocp.diagnose.rules import NOISE_TRUST, PLACE_SURE
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.diagnose.tracker.refit import freedom_used, usual_noise
 from robots.calibration.noise import Noise, reading_covariance
-
-SCALE = {"mm": 1e3, "N": 1.0, "arcsec": float(np.degrees(1.0) * 3600.0)}
-"""Units in which a gap is told, per SI unit."""
 
 LEVELS = 21  # of the joint noise that are averaged
 

@@ -15,14 +15,13 @@ import numpy as np
 from scipy.special import expit, log_ndtr, ndtri_exp
 
 from ocp.diagnose import rules
-from ocp.diagnose.engine.channel_system import Channel, HeldOut
+from ocp.diagnose.engine.channel_system import SCALE, Channel, HeldOut
 from ocp.model.theta import covariance_root
 from robots.pose import Array
 
 DRAWS = 1000
 STRETCHES = 60  # parts of a fold that are drawn as wholes
 _ROWS = ("before_rows", "after_rows", "noise_rows")
-SI = {"mm": 1e-3, "N": 1.0, "arcsec": float(np.radians(1.0) / 3600.0)}
 
 
 @dataclass(frozen=True)
@@ -240,4 +239,4 @@ def estimation_variance(channel: Channel, effects: Array) -> float:
     prior = np.where(held, 1.0, 1e-9 * np.linalg.norm(A, axis=0))
     U, s, _ = np.linalg.svd(np.vstack([A, np.diag(prior)]), full_matrices=False)
     leverage = np.minimum((U[: len(A), s > 1e-12 * s[0]] ** 2).sum(axis=1), 0.9)
-    return float((SI[channel.unit] * channel.noise_floor) ** 2 * np.mean(leverage / (1.0 - leverage)))
+    return float((channel.noise_floor / SCALE[channel.unit]) ** 2 * np.mean(leverage / (1.0 - leverage)))
