@@ -7,13 +7,14 @@ import numpy as np
 from ocp.diagnose.force.prior import posterior_of
 from ocp.diagnose.foresee.separation import ProposedMeasurement
 from ocp.diagnose.tracker.channel import TrackerChannel
-from ocp.diagnose.tracker.refit import Task, TrackerFit, linearise_with, with_weights
+from ocp.diagnose.tracker.refit import RANK, Task, TrackerFit, linearise_with, with_weights
 from ocp.model.cell import TrackerSetup
 from robots.calibration.layout import Choice, Priors, build_layout, nominal_state
 from robots.calibration.noise import Noise, reading_covariance, whitener
 from robots.calibration.solver import Campaign
 from robots.calibration.store import Calibration
 from robots.errors import BadInput
+from robots.gauss_newton import linear_step
 from robots.kinematics import link_frames
 from robots.pose import Array
 from robots.tracker_readings import Readings, planned_readings
@@ -219,12 +220,9 @@ def arm_expected(channel: TrackerChannel) -> Calibration:
     """The believed arm with the covariance that planned readings leave: prior of a force log that comes with them."""
     task, fit = channel.task, channel.fit
     p = task.layout.size
-    J = (fit.W @ fit.linear.J).reshape(-1, p)
-    sd = task.layout.prior_sd
-    known = np.isfinite(sd)
-    whole = np.vstack([J, np.diag(np.where(known, 1.0 / np.where(known, sd, 1.0), 0.0))])
-    size = np.linalg.norm(whole, axis=0)
-    _, s, Vt = np.linalg.svd(whole / size, full_matrices=False)
-    keep = s > 1e-12 * s[0]
-    root = (Vt[keep].T / s[keep]) / size[:, None]
-    return posterior_of(task.campaign.robot.name, task.layout, replace(fit, covariance=root @ root.T))
+    known = np.isfinite(task.layout.prior_sd)
+    scale = np.where(known, task.layout.prior_sd, task.layout.scale)
+    A = (fit.W @ fit.linear.J).reshape(-1, p) * scale
+    found = linear_step(np.zeros(len(A)), A, np.zeros(p), known.astype(float), RANK)
+    covariance = scale[:, None] * found.covariance * scale
+    return posterior_of(task.campaign.robot.name, task.layout, replace(fit, covariance=covariance))
