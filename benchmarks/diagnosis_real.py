@@ -144,7 +144,7 @@ def blocked(blocks: Sequence[HeldOut], channel: TrackerChannel) -> tuple[float, 
         before, after = (np.concatenate(x).mean() - noise for x in zip(*parts, strict=True))
         return float(1.0 - np.sqrt(max(after, 0.0) / before))
 
-    rows = [(h.before_rows, h.after_rows) for h in blocks]
+    rows = [(h.rows[0], h.rows[1]) for h in blocks]
     draws = []
     for _ in range(1000):
         picked = [(rows[k], rng.integers(len(rows[k][0]), size=len(rows[k][0]))) for k in rng.integers(len(rows), size=len(rows))]

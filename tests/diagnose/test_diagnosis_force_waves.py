@@ -282,7 +282,7 @@ def test_left_out_readings_are_the_same_ones_with_and_without_a_name(made, tmp_p
     for fold in after.folds():
         without, named = after.held_out(fold, ()), after.held_out(fold, after.active)
         assert (without is None) == (named is None)
-        assert without is None or len(without.after_rows) == len(named.after_rows)
+        assert without is None or without.rows.shape == named.rows.shape
 
 
 def test_a_fit_that_leaves_what_can_be_computed_is_said_so(made):  # noqa: F811

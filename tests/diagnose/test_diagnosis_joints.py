@@ -111,7 +111,7 @@ def test_the_real_kuka_has_a_lag_behind_its_springs(tmp_path, shared_data):
 def held(before: float, after: float, kind: str = "random", n: int = 400, seed: int = 0) -> HeldOut:
     rng = np.random.default_rng(seed)
     rows = [m * rng.chisquare(3, n) / 3 for m in (before + 1.0, after + 1.0)]
-    return HeldOut(Fold("x", kind, np.ones(n, bool)), rows[0].mean(), rows[1].mean(), 1.0, *rows, np.ones(n))
+    return HeldOut(Fold("x", kind, np.ones(n, bool)), np.stack([*rows, np.ones(n)]))
 
 
 def test_shrinkage_is_predicted_with_its_chance():

@@ -432,7 +432,7 @@ def test_a_stand_that_is_left_out_is_placed_by_its_own_readings():
     stands = {f.name: f for f in tracker_folds(moved) if f.kind == "station"}
     assert set(stands) == {"station=S1", "station=S2"}
     found = c.held_out(stands["station=S2"], c.active)
-    assert found is not None and len(found.after_rows) > 0.9 * late.sum()
+    assert found is not None and found.rows.shape[1] > 0.9 * late.sum()
     assert found.after < 1.5 * found.noise and found.before > 1.5 * found.after  # placed, and the name holds there
     random = next(f for f in tracker_folds(moved) if f.kind == "random")
     assert c.held_out(replace(random, held=late), c.active) is None  # other folds know nothing of that stand

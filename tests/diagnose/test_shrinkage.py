@@ -49,7 +49,7 @@ def held(before: float, after: float, n: int = 400, seed: int = 0) -> HeldOut:
     """A fold of n readings with these mean squares beyond a noise of 1."""
     rng = np.random.default_rng(seed)
     rows = [m * rng.chisquare(3, n) / 3 for m in (before + 1.0, after + 1.0)]
-    return HeldOut(Fold("x", "random", np.ones(n, bool)), rows[0].mean(), rows[1].mean(), 1.0, *rows, np.ones(n))
+    return HeldOut(Fold("x", "random", np.ones(n, bool)), np.stack([*rows, np.ones(n)]))
 
 
 def new(*moved: float, errors: float = 1.0, lasting: float = 0.0, p: int = 60, doubt: float = 0.0) -> Anticipated:
@@ -202,8 +202,9 @@ def test_folds_that_are_no_worse_than_chance_take_nothing_away():
     told = from_model(new(24.0), [held(25.0, 1.25)], 1.0)  # the errors of estimation, a fifth more on four fifths of the data
     assert told.predicted == pytest.approx(bare.predicted, abs=0.05)
     # Gross readings make folds so unsure that only the prior says what is unexplained: a normal law far out in its tail.
-    gross = replace(held(25.0, 0.0), after_rows=np.where(np.arange(400) == 7, 1e6, 1.0))
-    for unsure in (gross, replace(gross, after_rows=-gross.after_rows)):
+    before, _, noise = held(25.0, 0.0).rows
+    gross = np.where(np.arange(400) == 7, 1e6, 1.0)
+    for unsure in (replace(held(25.0, 0.0), rows=np.stack([before, after, noise])) for after in (gross, -gross)):
         size = unexplained([unsure], 0.0, np.random.default_rng(0))
         assert np.isfinite(size).all() and (size >= 0).all() and size.max() < 5.0
 
@@ -384,7 +385,7 @@ def test_left_out_conditions_say_what_is_new_in_new_data():
 
     def left_out(name: str, kind: str, after: float) -> HeldOut:
         rows, held = rng.uniform(0.9, 1.1, 200), np.arange(800) // 200 == "abcd".index(name)
-        return HeldOut(Fold(name, kind, held), 4.0, after, 1.0, 4 * rows, after * rows, np.ones(200))
+        return HeldOut(Fold(name, kind, held), np.stack([4 * rows, after * rows, np.ones(200)]))
 
     asked = (("a", "payload", 1.3), ("b", "time", 9.0), ("c", "joint range", 2.0), ("d", "random", 1.0))
     kinds = promised_by_kind([left_out(*one) for one in asked])

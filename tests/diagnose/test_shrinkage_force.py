@@ -97,7 +97,7 @@ def test_what_is_there_under_no_name_is_there_afterwards_too():
     fold = Fold("x", "random", np.ones(400, bool))
 
     def told(after: float, unknown: float = 1.0) -> Shrinkage:
-        left_out = HeldOut(fold, 0.29, after, NOISE, 0.29 * rows, after * rows, np.full(400, NOISE))
+        left_out = HeldOut(fold, np.stack([0.29 * rows, after * rows, np.full(400, NOISE)]))
         found = from_grinding(new(0.5), NOISE, [left_out], unknown)
         assert found is not None
         return found

@@ -144,20 +144,30 @@ class Fold:
 
 @dataclass(frozen=True)
 class HeldOut:
-    """Mean square of the gap of the held readings (SI^2: m^2 for 3D errors, N^2, rad^2) before and after the effects, everything
-    refitted on the rest, and what noise alone gives; before_rows, after_rows, noise_rows (r,): the same of every reading;
-    estimation: mean square that the effects' own errors of estimation add to `after`; shared: one sd of `before` less `after`
-    that comes from what the believed cell is off by in all of the held readings."""
+    """Squares (3, r) of the gap of each of the held readings (SI^2: m^2 for 3D errors, N^2, rad^2): before and after the effects,
+    everything refitted on the rest, and what noise alone gives; before, after, noise: their means. estimation: mean square that
+    the effects' own errors of estimation add to `after`; shared: one sd of `before` less `after` that comes from what the
+    believed cell is off by in all of the held readings."""
 
     fold: Fold
-    before: float
-    after: float
-    noise: float
-    before_rows: Array
-    after_rows: Array
-    noise_rows: Array
+    rows: Array
     estimation: float = 0.0
     shared: float = 0.0
+
+    @property
+    def before(self) -> float:
+        """Mean square before the effects."""
+        return float(self.rows[0].mean())
+
+    @property
+    def after(self) -> float:
+        """Mean square with the effects."""
+        return float(self.rows[1].mean())
+
+    @property
+    def noise(self) -> float:
+        """Mean square of noise alone."""
+        return float(self.rows[2].mean())
 
 
 @dataclass(frozen=True)

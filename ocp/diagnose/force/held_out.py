@@ -81,7 +81,6 @@ def force_fold_errors(before: Fitted, after: Fitted, fold: Fold, good: Flags) ->
         return None
     changes, covariances = zip(*(_moved_without(fit, held) for _, fit in (before, after)), strict=True)
     off, left = (_errors(*fitted, change)[rows] for fitted, change in zip((before, after), changes, strict=True))
-    b, a = off**2, left**2
     (r, o), nuisance, covariance = after[0].sizes, before[1].normal[rows, : before[0].sizes[0]], covariances[1]
     known = covariances[0][: nuisance.shape[1], : nuisance.shape[1]]
     noise, unknown = whitener.noise.sigma()[rows] ** 2, np.sum(nuisance @ known * nuisance, axis=1)
@@ -95,17 +94,8 @@ def force_fold_errors(before: Fitted, after: Fitted, fold: Fold, good: Flags) ->
     columns = after[1].normal[rows].copy()
     columns[:, r : r + o] = 0.0
     estimation = np.maximum(np.sum(columns @ covariance * columns, axis=1) - unknown, 0.0)
-    return HeldOut(
-        fold,
-        float(b.mean()),
-        float(a.mean()),
-        float(noise.mean()),
-        b,
-        a,
-        noise,
-        float(estimation.mean()),
-        float(np.sqrt(shared @ known @ shared)),
-    )
+    squares = np.stack([off**2, left**2, noise])
+    return HeldOut(fold, squares, float(estimation.mean()), float(np.sqrt(shared @ known @ shared)))
 
 
 def _moved_without(fit: EffectFit, held: Flags) -> tuple[Array, Array]:

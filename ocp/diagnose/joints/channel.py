@@ -387,7 +387,7 @@ class JointChannel:
         for one in whole.active:
             columns = column_of(there, one, delays)
             excused += float(np.mean(np.einsum("ni,ij,nj->n", columns, one.covariance, columns)))
-        return HeldOut(fold, float(before.mean()), float(after.mean()), float(noise.mean()), before, after, noise, excused)
+        return HeldOut(fold, np.stack([before, after, noise]), excused)
 
     def predict(self, sealed: JointLog, active: tuple[Active, ...]) -> Sealed:
         """Link angles (r, m) rad of the m joints of this channel at the instants of a log without link side; inside: where the

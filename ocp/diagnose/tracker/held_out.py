@@ -85,9 +85,8 @@ def held_out_readings(
     # Not of the coefficients alone: an effect that the springs nearly imitate has large errors that these take back.
     added_by_effects = float((with_effects[1] - without[1])[rows].mean())
     S = reading_covariance(r.take(rows), task.campaign.instrument, gap_noise(fit.noise), fit.linear.d_joints[rows])
-    noise = np.trace(S, axis1=1, axis2=2)
-    e, f = np.sum(before**2, axis=1), np.sum(after**2, axis=1)
-    return HeldOut(fold, float(e.mean()), float(f.mean()), float(noise.mean()), e, f, noise, max(added_by_effects, 0.0))
+    squares = np.stack([np.sum(before**2, axis=1), np.sum(after**2, axis=1), np.trace(S, axis1=1, axis2=2)])
+    return HeldOut(fold, squares, max(added_by_effects, 0.0))
 
 
 def placed_stands(task: Task, fit: TrackerFit, errors: Array, own: Sequence[Index]) -> Array:

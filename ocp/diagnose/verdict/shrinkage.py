@@ -21,7 +21,6 @@ from robots.pose import Array
 
 DRAWS = 1000
 STRETCHES = 60  # parts of a fold that are drawn as wholes
-_ROWS = ("before_rows", "after_rows", "noise_rows")
 
 
 @dataclass(frozen=True)
@@ -126,7 +125,7 @@ def from_folds(held: Sequence[HeldOut], estimation: float) -> Shrinkage | None:
         inside, outside = outside, []
     if not inside:
         return None
-    before, after, noise = (float(np.mean(np.concatenate([getattr(h, k) for h in inside]))) for k in _ROWS)
+    before, after, noise = np.concatenate([h.rows for h in inside], axis=1).mean(axis=1)
     if realised(before, after, noise) is None:
         return None
     rng = np.random.default_rng(0)
@@ -188,7 +187,7 @@ def promised_later(told: Shrinkage, chosen: bool) -> Shrinkage:
 def unexplained(held: Sequence[HeldOut], estimation: float, rng: np.random.Generator) -> Array:
     """Draws (k,) of the mean square SI^2 by which something is unexplained, given how much worse than noise and estimation make
     them random folds are: nothing with prior probability `NOTHING_UNEXPLAINED`, else exponential about `UNEXPLAINED_SIZE`."""
-    rows = [(h.after_rows - h.noise_rows, h.noise_rows) for h in held if h.fold.kind == "random"]
+    rows = [(h.rows[1] - h.rows[2], h.rows[2]) for h in held if h.fold.kind == "random"]
     if not rows:
         return np.zeros(DRAWS)
     excess, noise = (np.concatenate(part) for part in zip(*rows, strict=True))
@@ -207,10 +206,10 @@ def _drawn(rng: np.random.Generator, held: Sequence[HeldOut], estimation: float,
     """Bootstrap draws (up to `draws`,) of the shrinkage over stretches of the folds' readings; none where a draw has no gap."""
     sums, count, excused = np.zeros((draws, 3)), np.zeros(draws), np.zeros(draws)
     for h in held:
-        n = len(h.before_rows)
+        n = h.rows.shape[1]
         pieces = min(n, STRETCHES)
         starts = np.array([part[0] for part in np.array_split(np.arange(n), pieces)])
-        whole = np.stack([np.add.reduceat(getattr(h, name), starts) for name in _ROWS], axis=1)
+        whole = np.add.reduceat(h.rows, starts, axis=1).T
         sizes = np.diff(np.append(starts, n)).astype(float)
         pick = rng.integers(pieces, size=(draws, pieces))
         sums += whole[pick].sum(axis=1)
