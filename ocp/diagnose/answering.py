@@ -6,7 +6,6 @@ one diagnoses: matplotlib takes a second to import and a second to draw, on a se
 the page is made here, after the rest.
 """
 
-import csv
 import gc
 import re
 from collections.abc import Callable, Iterator, Sequence
@@ -122,10 +121,9 @@ def write_predictions(path: Path, predicted: tuple[tuple[str, ...], float], seal
     kinds["patched_sigma"] = sealed.sigma if sealed.patched_sigma is None else sealed.patched_sigma
     inside = np.ones(len(sealed.sigma), bool) if sealed.inside is None else sealed.inside
     rows = factor * np.hstack([np.asarray(values).reshape(len(values), -1)[:, : len(columns)] for values in kinds.values()])
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow([*(f"{kind}_{c}" for kind in kinds for c in columns), "inside"])
-        writer.writerows([*(f"{v:.5f}" for v in row), int(there)] for row, there in zip(rows, inside, strict=True))
+    head = ",".join([*(f"{kind}_{c}" for kind in kinds for c in columns), "inside"])
+    forms = ["%.5f"] * rows.shape[1] + ["%d"]
+    np.savetxt(path, np.column_stack([rows, inside]), forms, ",", header=head, comments="", encoding="utf-8")
 
 
 PREDICTED = {"tracker": (("x_mm", "y_mm", "z_mm"), 1e3), "force": (("fn_N",), 1.0)}

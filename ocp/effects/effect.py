@@ -43,21 +43,19 @@ class Surroundings:
     """What a data set offers to the scans; all empty where absent.
 
     gear_ratio (6,) (nan unknown); q_range (6, 2) rad covered; time: sorted instants s of the readings on the campaign's clock;
-    targets, payloads: names; step s: sampling step of logs; breaks: instants s on that clock between runs or sessions;
-    run_length s: longest run; length m: of the longest pass; lines: numbers of the lines ground; sides: mean outward normals
-    (3,), blade frame, of the sides ground; friction of the cell; robot: its catalogue name; torque_max (6,) N m, stiffness (6,)
-    N m/rad of the believed robot (None, 0: those of a KR 210 set the scale of priors); splice_trains: of a belt, that a force
-    log speaks for; among: by effect, of how many variants its scan offers the most telling.
+    targets, payloads: names; breaks: instants s on that clock between runs or sessions; length m: of the longest pass; lines:
+    numbers of the lines ground; sides: mean outward normals (3,), blade frame, of the sides ground; friction of the cell; robot:
+    its catalogue name; torque_max (6,) N m, stiffness (6,) N m/rad of the believed robot (None, 0: those of a KR 210 set the
+    scale of priors); splice_trains: of a belt, that a force log speaks for; among: by effect, of how many variants its scan
+    offers the most telling.
     """
 
     gear_ratio: Array
     q_range: Array
     time: Array
     targets: tuple[str, ...] = ()
-    step: float = 0.0
     payloads: tuple[str, ...] = ()
     breaks: Array = field(default_factory=lambda: np.empty(0))
-    run_length: float = 0.0
     length: float = 0.0
     robot: str = ""
     torque_max: Array | None = None

@@ -9,7 +9,7 @@ from scipy.stats import ncx2
 
 from ocp.diagnose.engine.evidence import Rival, size_grid, visible_lambda
 from ocp.diagnose.engine.findings import Name, Options
-from ocp.diagnose.engine.kernels import groups, products, smooth
+from ocp.diagnose.engine.kernels import groups, kernels, products, smooth
 from ocp.diagnose.verdict.diagnosis import diagnose_channels
 from ocp.effects.catalogue import effect_list, effects_table, library
 from robots.gravity import GRAVITY, weight_torques
@@ -173,6 +173,14 @@ def test_a_dropped_file_is_screened_named_planned_and_listed(tmp_path, monkeypat
         assert any(line.startswith("brand_new") for line in effect_list().splitlines())
         assert "brand_new" in effects_table()
         sys.modules.pop("ocp.effects.brand_new", None)
+
+
+def test_a_payload_may_be_named_as_its_owner_likes():
+    conditions = channel(world(11)[0]).conditions
+    starred = replace(conditions, payloads=tuple(f"{name} 2 * 3 *" for name in conditions.payloads))
+    plain, told = ({k.where: k.changes for k in kernels(c) if "payload" in k.where} for c in (conditions, starred))
+    assert plain.keys() == told.keys() >= {"payload2", "payload x q2"}
+    assert all(np.array_equal(plain[where], told[where]) for where in plain)
 
 
 def test_features_are_what_they_say():

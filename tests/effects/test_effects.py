@@ -84,7 +84,6 @@ SEEN = Surroundings(
     tuple(NESTS),
     payloads=tuple(PAYLOADS),
     robot=EXTRA.name,
-    run_length=5.0,
     length=0.1,
     lines=(1, 2, 3),
 )

@@ -42,17 +42,16 @@ class Wave:
 class ReadingConditions:
     """What is known of n readings of one signal; None where the data set does not say.
 
-    q (n, 6) rad commanded; approach (n, 6) signs of the last motions; payload (n,) index into `payloads`; target (n,) index
-    into `targets`; time (n,) s of the run, clock (n,) s of the campaign; waited (n,) s since the last reading before the
-    motion to each, moved (n, 6) rad by it; temperature (n,) deg C; wheel_temperature (n,); run, line, session, station (n,)
-    integers; s (n,) m along the pass; feed m/s, setpoint N, belt m/s; contact (n,) bool; pressed (n, k): what a newton more at
-    the contact reads, nothing in the air; tau (n, 6) N m load torque; travel (n,) sign of the motion along the pass; d_joints
-    (n, k, 6): derivative of the prediction in the six joint angles, SI per
-    rad (k components of a reading), for kernels and spectra in joint angles; d_tilts (n, k, 6, 4): in tilts of the six axes
-    about the two directions across them that stand still in the link before, and the two that turn with the joint; moments (n,
-    6, 2) N m of the weight beyond an axis about the two that stand still; point (n, 3) m in the instrument's frame; sight (n,
-    3): unit vectors from reflectors to the instrument, in axes of the links that carry them; gear_ratio: those that each of
-    six joints may have; waves: of the wheel's turn, and of time and path those that the readings speak for.
+    q (n, 6) rad commanded; approach (n, 6) signs of the last motions; payload (n,) index into `payloads`; target (n,) index; time
+    (n,) s of the run, clock (n,) s of the campaign; waited (n,) s since the last reading before the motion to each, moved (n, 6)
+    rad by it; temperature (n,) deg C; wheel_temperature (n,); run, line, session (n,) integers; s (n,) m along the pass; feed
+    m/s, setpoint N, belt m/s; contact (n,) bool; pressed (n, k): what a newton more at the contact reads, nothing in the air; tau
+    (n, 6) N m load torque; travel (n,) sign of the motion along the pass; d_joints (n, k, 6): derivative of the prediction in the
+    six joint angles, SI per rad (k components of a reading), for kernels and spectra in joint angles; d_tilts (n, k, 6, 4): in
+    tilts of the six axes about the two directions across them that stand still in the link before, and the two that turn with the
+    joint; moments (n, 6, 2) N m of the weight beyond an axis about the two that stand still; point (n, 3) m in the instrument's
+    frame; sight (n, 3): unit vectors from reflectors to the instrument, in axes of the links that carry them; gear_ratio: those
+    that each of six joints may have; waves: of the wheel's turn, and of time and path those that the readings speak for.
     """
 
     signal: str
@@ -61,7 +60,6 @@ class ReadingConditions:
     payload: Index | None = None
     payloads: tuple[str, ...] = ()
     target: Index | None = None
-    targets: tuple[str, ...] = ()
     time: Array | None = None
     clock: Array | None = None
     waited: Array | None = None
@@ -71,7 +69,6 @@ class ReadingConditions:
     run: Index | None = None
     line: Index | None = None
     session: Index | None = None
-    station: Index | None = None
     s: Array | None = None
     feed: Array | None = None
     setpoint: Array | None = None

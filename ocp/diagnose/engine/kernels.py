@@ -133,10 +133,10 @@ def kernels(c: ReadingConditions) -> Iterator[Kernel]:
             indicator = groups(index)
             if indicator is not None:
                 yield Kernel(where, "frame", 0, [still], indicator[:, None], *FRAME_KERNEL, x)
-        time, nests = _time(c), groups(c.target, centred=False)
-        if time is not None and nests is not None and np.ptp(time) > 0:  # one nest moves, sooner or later
+        time, nests = _time(c), np.unique(c.target if c.target is not None else ())
+        if time is not None and len(nests) > 1 and np.ptp(time) > 0:  # one nest moves, sooner or later
             instants = np.quantile(time, np.arange(1, INSTANTS + 1) / (INSTANTS + 1))
-            moved = np.stack([nest * (time > at) for nest in nests.T for at in instants], axis=1)
+            moved = np.stack([(c.target == k) * 1.0 * (time > at) for k in nests for at in instants], axis=1)
             yield Kernel("target x time", "frame", 0, [still], moved[:, :, None], *FRAME_KERNEL, x)
         if c.point is not None:
             yield from _of_beam(c, x, c.point)
@@ -275,8 +275,8 @@ def _time(c: ReadingConditions) -> Array | None:
 
 
 def payload_words(c: ReadingConditions) -> list[str]:
-    """Indicators of all payloads that were measured but the commonest."""
-    return [] if c.payload is None else [f"is {c.payloads[k]}" for k in lesser(c.payload)]
+    """Indicators of all payloads that were measured but the commonest; a star in a name would part it as a product."""
+    return [] if c.payload is None else [f"is {c.payloads[k].replace('*', 'x')}" for k in lesser(c.payload)]
 
 
 def half_waves(name: str, count: int) -> list[str]:
@@ -384,9 +384,9 @@ def lesser(index: Array | Index) -> Array:
     return np.asarray(np.delete(kinds, np.argmax(counts)))
 
 
-def groups(index: Array | Index | None, centred: bool = True) -> Array | None:
-    """Indicators (n, g - 1) of all groups but the largest about their means, or (n, g) as they are; None where there is one."""
-    if index is None or len(kinds := np.unique(index)) < 2:
+def groups(index: Array | Index | None) -> Array | None:
+    """Indicators (n, g - 1) of all groups but the largest about their means; None where there is one."""
+    if index is None or not len(lesser(index)):
         return None
-    indicator = (np.asarray(index)[:, None] == (lesser(index) if centred else kinds)).astype(float)
-    return indicator - indicator.mean(axis=0) if centred else indicator
+    indicator = (np.asarray(index)[:, None] == lesser(index)).astype(float)
+    return np.asarray(indicator - indicator.mean(axis=0))

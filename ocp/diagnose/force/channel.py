@@ -315,19 +315,15 @@ def surroundings(problem: ForceProblem) -> Surroundings:
     clocked = "clock_s" in c.given
     first, last = np.array(sorted((c.clock[c.run == r].min(), c.clock[c.run == r].max()) for r in np.unique(c.run))).T
     breaks = 0.5 * (last[:-1] + first[1:]) if clocked and len(first) > 1 else np.empty(0)
-    spans = [np.ptp(c.time[c.run == r]) for r in np.unique(c.run)]
     lengths = [np.ptp(c.s[(c.line == k) & log.contact]) for k in np.unique(c.line[log.contact])]
-    steps = np.diff(log.time)[np.diff(log.run) == 0]
     names = tuple(cell.tables.payloads)
     own = cell.tables.workpiece.payload if cell.tables.workpiece is not None else None
     return Surroundings(
         gear_ratio=cell.robot.gear_ratio,
         q_range=np.stack([log.q.min(axis=0), log.q.max(axis=0)], axis=1),
         time=np.sort(c.clock) if clocked else np.empty(0),
-        step=float(np.median(steps)) if len(steps) else 0.0,
         payloads=(own,) if own in names else (),
         breaks=np.sort(breaks),
-        run_length=float(max(spans)),
         length=float(max(lengths, default=0.0)),
         robot=cell.robot.name,
         torque_max=cell.robot.torque_max,

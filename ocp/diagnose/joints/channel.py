@@ -317,12 +317,11 @@ class JointChannel:
 
     @property
     def surroundings(self) -> Surroundings:
-        """Ranges of the joints, times, sampling step."""
+        """Ranges of the joints, times."""
         log = self.problem.signals.log
         span = np.stack([log.q.min(axis=0), log.q.max(axis=0)], axis=1)
-        step = float(np.median(np.diff(log.time[log.run == log.run[0]])))
         robot = self.problem.robot
-        return Surroundings(robot.gear_ratio, span, np.sort(log.time), (), step, robot=robot.name)
+        return Surroundings(robot.gear_ratio, span, np.sort(log.time), robot=robot.name)
 
     @cached_property
     def system(self) -> System:

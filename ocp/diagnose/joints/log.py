@@ -26,8 +26,8 @@ class JointLog:
     """n rows in time order inside each run, radians.
 
     run (n,): index into `runs`; time (n,) s; q (n, 6) motor side through the gear; link (n, 6) link side, nan where not
-    recorded; tau (n, 6) N m motor torque on the link side, nan where not recorded; qd (n, 6) rad/s or None; row (n,): line in
-    the file. joints: those (1..6) with a link side that moved.
+    recorded; tau (n, 6) N m motor torque on the link side, nan where not recorded. joints: those (1..6) with a link side that
+    moved. Speeds are found from the angles.
     """
 
     path: Path
@@ -37,8 +37,6 @@ class JointLog:
     q: Array
     link: Array
     tau: Array
-    qd: Array | None
-    row: Index
     notices: tuple[str, ...] = ()
 
     def __len__(self) -> int:
@@ -71,17 +69,7 @@ def read_joint_log(path: str | Path, mapping: ColumnMapping = OURS, sealed: bool
     if sealed:
         link = np.full_like(q, np.nan)
     _check_link(table, q, link)
-    log = JointLog(
-        path=table.path,
-        run=run,
-        runs=runs,
-        time=table.numbers["time_s"],
-        q=q,
-        link=link,
-        tau=_columns(table, TORQUE),
-        qd=np.radians(_columns(table, SPEED)) if any(c in table.numbers for c in SPEED) else None,
-        row=np.array(table.line),
-    )
+    log = JointLog(path=table.path, run=run, runs=runs, time=table.numbers["time_s"], q=q, link=link, tau=_columns(table, TORQUE))
     if sealed:
         return log
     if not log.joints:

@@ -30,7 +30,7 @@ from robots.gravity import weight_torques
 from robots.pose import Array
 from robots.tracker_readings import Readings
 
-OF_READINGS = ("q", "approach", "payload", "payloads", "target", "targets", "time", "waited", "moved", "temperature")
+OF_READINGS = ("q", "approach", "payload", "payloads", "target", "time", "waited", "moved", "temperature")
 ANY = {"target", "payload"}  # one of them is as good as many
 
 
@@ -134,7 +134,6 @@ class TrackerChannel:
             signal=self.name,
             clock=r.time,
             session=r.session if len(r.sessions) > 1 else None,
-            station=r.station if len(r.stations) > 1 else None,
             tau=tau,
             d_joints=self.fit.linear.d_joints,
             d_tilts=self.seen.tilts,
