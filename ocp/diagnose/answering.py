@@ -26,6 +26,7 @@ from ocp.diagnose.engine.findings import Alternative, Diagnosis
 from ocp.diagnose.foresee.anticipated import signal_gap
 from ocp.diagnose.foresee.next_experiment import next_experiments
 from ocp.diagnose.foresee.patched import beside_unknown, patched, prediction, unnamed, with_patch
+from ocp.diagnose.joints.channel import JointChannel, joint_channel
 from ocp.diagnose.report.verdict_sentence import diagnosis_headline, not_written, told_as
 from ocp.diagnose.rules import FOLLOWED_FORCE
 from ocp.diagnose.tracker.channel import TrackerChannel
@@ -64,8 +65,6 @@ def channels_of(data: DataSet, phases: Phases) -> list[Channel]:
             found.append(force_channel(data.cell, data.log, tracker))
     if data.joints is not None:
         with phases.phase("joints"):
-            from ocp.diagnose.joints.channel import joint_channel
-
             found.append(joint_channel(data.joints, data.setup.robot, data.payload, _stated(data), data.believed_by("joint")))
     return found
 
@@ -105,8 +104,6 @@ def columns_predicted(answer: Answer, signal: str) -> tuple[tuple[str, ...], flo
     """Columns of a signal's predictions, and their unit per SI unit."""
     if signal in PREDICTED:
         return PREDICTED[signal]
-    from ocp.diagnose.joints.channel import JointChannel
-
     channel = next(c for c in answer.diagnosis.channels if isinstance(c, JointChannel))
     return tuple(f"link{j}_deg" for j in channel.problem.noise), float(np.degrees(1.0))
 

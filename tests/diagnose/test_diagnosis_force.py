@@ -164,7 +164,7 @@ def test_slopes_are_those_of_the_force(made):
     scene, at = channel.problem.scene, channel.fit.at
     theta, joints = force_derivatives(scene, at)
     rows = scene.touching[::50]
-    sd = channel.problem.believed.sd
+    sd = np.sqrt(np.sum(channel.problem.believed.root**2, axis=1))
     for i in np.flatnonzero(sd[: theta.shape[1]] > 0)[::2]:
         step = np.zeros_like(at.x)
         step[i] = 1e-2 * sd[i]

@@ -48,11 +48,6 @@ class NuisancePrior:
     root: Array
     joint_noise: float | None
 
-    @property
-    def sd(self) -> Array:
-        """One sigma (m,) of each."""
-        return np.sqrt(np.sum(self.root**2, axis=1))
-
 
 def contact_prior(cell: Cell, arm: Calibration | None = None) -> NuisancePrior:
     """Prior of the cell, its arm as `arm` says where given: what the cell's calibration knows besides goes with it."""

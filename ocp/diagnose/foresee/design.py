@@ -26,7 +26,7 @@ from ocp.diagnose.rules import LEAST_CONTACT_ROWS, LEAST_READINGS
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.effects.catalogue import library
 from ocp.effects.effect import Effect, Parameter, Scanned
-from ocp.model.cell import TrackerSetup, read_tracker_setup
+from ocp.model.cell import TrackerSetup, read_cell, read_tracker_setup
 from robots.calibration.store import Calibration
 from robots.csv_table import read_csv_table
 from robots.errors import BadInput
@@ -99,8 +99,7 @@ def _tracker_plan(setup: TrackerSetup, poses: Path | None) -> tuple[TrackerChann
 
 def _force_plan(cell: Path, log: ForceLog, known: Sequence[Effect], arm: Calibration | None) -> Channel:
     """The believed contact of the plan. Of families of many variants only those that are looked at have their patterns kept."""
-    from ocp.diagnose.foresee.planned_grinding import planned_force_channel
-    from ocp.model.cell import read_cell  # only those who plan a log wait for the contact's imports
+    from ocp.diagnose.foresee.planned_grinding import planned_force_channel  # the contact: only for those who plan a log
 
     return planned_force_channel(read_cell(cell), log, [_with_few(e) for e in known], arm)
 
