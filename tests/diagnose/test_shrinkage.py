@@ -161,7 +161,7 @@ def test_three_words_for_one_cause_are_no_three_causes(monkeypatch):
     assert leader(problem, search, replace(told, p_none=0.7)) == (Weighed(0.0, ()), ())
     every = {"e1": ((Name("e0", 0), Name("e1", 0), Name("e2", 0)),)}
 
-    def of_each(_problem, weighed, _signatures):
+    def of_each(_problem, weighed, _active):
         return every.get(found_name(problem, weighed), ())
 
     monkeypatch.setattr("ocp.diagnose.verdict.diagnosis.classes_of", of_each)

@@ -47,12 +47,6 @@ def refreshed(log: ForceLog, whitener: Whitener, residual: Array) -> Whitener:
     return whitener.with_noise(noise.reweighted(residual))
 
 
-def as_shear(log: ForceLog) -> ForceLog:
-    """The log with the tangential reading in the place of the normal one."""
-    assert log.ft is not None
-    return replace(log, fn=log.ft, sigma_fn=log.sigma_ft)
-
-
 # At rest within 3 % of the posterior's standard deviations. Far misfits of something nobody has named yet make the last steps
 # slow (the squares' own curvature is left out): they end where three steps together gain a hundredth of what one number more may
 # explain. A search that ends otherwise is a fit where less than one of the squares is to be gained, which changes no answer. One
@@ -218,7 +212,7 @@ def units_of(active: tuple[Active, ...]) -> Array:
 
 def signals(log: ForceLog) -> tuple[ForceLog, ...]:
     """The log once a signal, the signal in the place of fn."""
-    return (log,) if log.ft is None else (log, as_shear(log))
+    return (log,) if log.ft is None else (log, replace(log, fn=log.ft, sigma_fn=log.sigma_ft))
 
 
 def _at(problem: ForceProblem, z: Array, active: tuple[Active, ...], near: Predicted | None) -> Predicted:

@@ -119,7 +119,7 @@ def findings(
             del search.sets[key]
     signatures = [signature(problem, weighed, a) for a in active]
     ranked = ranking(problem, search, found)
-    classes = classes_of(problem, weighed, signatures) if active else suspected(problem, search, ranked)
+    classes = classes_of(problem, weighed, active) if active else suspected(problem, search, ranked)
     doubts = (*failed.items(), *implausible(active), *cancelling([Name(*a.key) for a in active], signatures))
     hurting = [(n, f"hurts where {f} is left out") for n, f in refused]
     nothing, all_of_it = given(problem.pool, ()), problem.taken(search.sets[search.best()[0]])
@@ -163,8 +163,7 @@ def leader(problem: Linearisation, search: Search, found: Posterior) -> tuple[We
     together = {n: found.probability[n] for n in ordered}
     for names in ordered if found.probability[ordered[0]] < rules.EXPLAINED else ():
         weighed = found.best[names]
-        signatures = [signature(problem, weighed, one) for one in problem.values(weighed)]
-        alike = next(g for g in _alike(found, classes_of(problem, weighed, signatures)) if names in g)
+        alike = next(g for g in _alike(found, classes_of(problem, weighed, problem.values(weighed))) if names in g)
         if alike[0] == names:  # a weak set is imitated by nearly everything
             together[names] = sum(found.probability[n] for n in alike)
     best = max(ordered, key=lambda n: (round(together[n], 3), found.probability[n]))
@@ -177,12 +176,12 @@ def signature(problem: Linearisation, weighed: Weighed, one: Active) -> Array:
     return np.asarray(problem.pool.columns(m) @ (one.a / problem.pool.families[m.family].scale))
 
 
-def classes_of(problem: Linearisation, weighed: Weighed, signatures: Sequence[Array]) -> tuple[tuple[Name, ...], ...]:
-    """Classes of the accepted effects, with these signatures, and what cannot be told from them."""
+def classes_of(problem: Linearisation, weighed: Weighed, active: Sequence[Active]) -> tuple[tuple[Name, ...], ...]:
+    """Classes of these effects of a set and what cannot be told from them."""
     found = []
-    for one, d in zip(problem.values(weighed), signatures, strict=True):
+    for one in active:
         name = Name(*one.key)
-        found.append((name, *twins(problem, weighed, problem.member(weighed, name), d)))
+        found.append((name, *twins(problem, weighed, problem.member(weighed, name), signature(problem, weighed, one))))
     return merged(found)
 
 
@@ -192,10 +191,7 @@ def suspected(problem: Linearisation, search: Search, ranked: Sequence[Ranked]) 
     class that holds the name."""
     if not ranked or ranked[0].detectability < told_apart(ranked[0].active.effect.size):
         return ()
-    name = ranked[0].name
-    weighed = problem.best_with(search.sets, name)
-    d = signature(problem, weighed, ranked[0].active)
-    return merged([(name, *twins(problem, weighed, problem.member(weighed, name), d))])
+    return classes_of(problem, problem.best_with(search.sets, ranked[0].name), [ranked[0].active])
 
 
 def explanations(found: Posterior, classes: Sequence[tuple[Name, ...]]) -> tuple[Explanation, ...]:

@@ -11,8 +11,6 @@ by weighted least squares. Its null: errors shifted in the order of measuring, a
 over time and lose what they owe to the angle (circular shifts, Good 2005, chapter 3).
 """
 
-from dataclasses import replace
-
 import numpy as np
 from scipy.special import fdtrc
 
@@ -140,13 +138,12 @@ def spectra(problem: Linearisation, y: Array) -> list[SpectrumPeak]:
             a = np.bincount(reading, rows[:, j] * y[block], n).astype(float)
             g = np.bincount(reading, rows[:, j] ** 2, n).astype(float)
             if g.max() > 0:
-                peak = _peak(j + 1, c.q[:, j], a, g, np.random.default_rng([0, j]))
-                found.append(replace(peak, signal=channel.name))
+                found.append(_peak(channel.name, j + 1, c.q[:, j], a, g))
     return sorted(found, key=lambda p: p.p_value)
 
 
-def _peak(joint: int, q: Array, a: Array, g: Array, rng: np.random.Generator) -> SpectrumPeak:
-    shifts = rng.integers(1, len(q), SHIFTS)
+def _peak(signal: str, joint: int, q: Array, a: Array, g: Array) -> SpectrumPeak:
+    shifts = np.random.default_rng([0, joint - 1]).integers(1, len(q), SHIFTS)
     pick = (np.arange(len(q)) + np.concatenate([[0], shifts])[:, None]) % len(q)
     # The error moves, the place's weight stays: a_i = e_i g_i.
     error = np.divide(a, np.sqrt(g), out=np.zeros_like(a), where=g > 0)[pick] * np.sqrt(g)
@@ -156,4 +153,4 @@ def _peak(joint: int, q: Array, a: Array, g: Array, rng: np.random.Generator) ->
     k = int(np.argmax(power[0]))
     amplitude = float(np.abs(error[0] @ waves[:, k]) / (0.5 * g.sum()))
     p = float((1 + np.sum(best[1:] >= best[0])) / (SHIFTS + 1))
-    return SpectrumPeak(joint, float(ORDERS[k]), amplitude, p, ORDERS, power[0])
+    return SpectrumPeak(joint, float(ORDERS[k]), amplitude, p, ORDERS, power[0], signal)

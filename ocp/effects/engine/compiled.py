@@ -44,8 +44,7 @@ class RowLayout:
 
     def split(self, whole: ca.SX) -> dict[str, ca.SX]:
         """The blocks of a symbolic row by name."""
-        edges = np.cumsum([0, *(size for _, size in self.sizes)]).tolist()
-        return dict(zip((name for name, _ in self.sizes), ca.vertsplit(whole, edges), strict=True))
+        return {name: whole[place] for name, place in self.places.items()}
 
     def stack(self, n: int, blocks: Mapping[str, Any]) -> Array:
         """Rows (n, size) of numeric blocks (n, size_i), (size_i,) or scalars; blocks that are absent or None are nan."""
