@@ -286,7 +286,7 @@ def test_what_acts_by_the_force_alone_has_the_rows_of_both_readings(made, name, 
     assert acts_by_force(*about, effect) and not acts_by_force(*about, EFFECTS["sensor_bias"])
     scans = channel.scan(effect, joint)[:5]
     both = effect_derivatives(*about, channel.fit.slopes, effect, joint, scans)
-    wanted = channel.averages.variants(effect, scans, both[: len(channel.fit.whiteners)])
+    wanted = channel.averages.variants(both[: len(channel.fit.whiteners)])
     found = channel.variants(effect, joint, scans)[1]
     assert np.abs(wanted).max() > 0
     np.testing.assert_allclose(found, wanted, rtol=1e-10, atol=1e-10 * np.abs(wanted).max())

@@ -121,7 +121,7 @@ class ForceChannel:
         U, s, Vt = np.linalg.svd(rows[:, 1:], full_matrices=False)
         keep = s > LEAST_DIRECTION
         place = [w.place for w in averages.whiteners]
-        far = np.full(averages.patterns.shape[2] + averages.spare, place[0][-1])
+        far = np.full(averages.patterns.shape[2], place[0][-1])
         return System(
             residual=rows[:, 0],
             nuisance=U[:, keep] * s[keep],
@@ -173,12 +173,12 @@ class ForceChannel:
                 force = force_changes(*about, self.fit.slopes, effect, joint, some)
                 if not np.isfinite(force).all():
                     return UNSEEN
-                found.append(self.averages.by_force(effect, some, force))
+                found.append(self.averages.by_force(force))
             else:
                 made = effect_derivatives(*about, self.fit.slopes, effect, joint, some)
                 if made is None:
                     return UNSEEN
-                found.append(self.averages.variants(effect, some, made[: len(self.averages.whiteners)]))
+                found.append(self.averages.variants(made[: len(self.averages.whiteners)]))
         return (chosen, np.concatenate(found, axis=1)) if found else UNSEEN
 
     def scan(self, effect: Effect, joint: int) -> tuple[Scanned, ...]:

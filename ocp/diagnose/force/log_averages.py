@@ -2,9 +2,8 @@
 
 Nearly all of what any effect does to a reading is slow against ten samples; averages of whitened rows keep it, with unit
 noise.
-What is fast (a runout, a splice) is kept as products with its own patterns, orthonormal to the averages. Of a family of
-hundreds of fast variants the most telling ones are kept; the others have their length in spare rows without data, so
-that each still pays for its freedom. docs/diagnosis_force.md, eq. 9.
+What is fast (a runout, a splice) is kept as products with its own patterns, orthonormal to the averages.
+docs/diagnosis_force.md, eq. 9.
 """
 
 from collections.abc import Iterable, Sequence
@@ -19,38 +18,17 @@ from ocp.diagnose.engine.channel_system import Wave
 from ocp.diagnose.force.fit import EffectFit, ForceProblem
 from ocp.diagnose.force.prediction import effect_derivatives
 from ocp.diagnose.rules import FAST_LAMBDA, FAST_SHARE
-from ocp.effects.effect import Effect, Scanned, Surroundings, scan_key
+from ocp.effects.effect import Effect, Scanned, Surroundings
 from robots.pose import Array
 
-FEW = 24  # columns of a fast family that are all kept
-MOST = 36  # of a larger one: so many of its most telling
-PROBES = 12  # variants of a family whose length is found exactly
 TOGETHER = 24  # variants evaluated at once
 
-Key = tuple[object, ...]
 Store = dict[str, tuple[tuple[Scanned, ...], Array]]  # fast columns (n, V m) of fn by effect: they hardly depend on the fit
 
 
 @dataclass(frozen=True)
-class Spare:
-    """A large fast family: which variants are kept whole, and the root (m, m) of the length that averages lose of each other."""
-
-    whole: frozenset[Key]
-    keys: tuple[Key, ...]
-    roots: Array
-    nearest: Array
-
-    def root(self, key: Key) -> Array | None:
-        """What stands in the spare rows of a variant (m, m); None where it is kept whole."""
-        if key in self.whole:
-            return None
-        at = self.keys.index(key) if key in self.keys else 0
-        return np.asarray(self.roots[self.nearest[at]])
-
-
-@dataclass(frozen=True)
 class LogAverages:
-    """Rows of the whitened system: averages of each signal, products with the fast patterns, spare rows without data.
+    """Rows of the whitened system: averages of each signal, products with the fast patterns.
 
     patterns (S, n, k): orthonormal whitened patterns of S signals together; back (S, n, k): through the filters' transposes;
     slopes (S, n): of the signals in the contact force; touching (n,): rows in contact, where there is one.
@@ -59,8 +37,6 @@ class LogAverages:
     whiteners: tuple[Whitener, ...]
     patterns: Array = field(repr=False)
     back: Array = field(repr=False)
-    spares: dict[str, Spare]
-    spare: int
     slopes: Array = field(repr=False)
     touching: Flags = field(repr=False)
 
@@ -68,30 +44,30 @@ class LogAverages:
         """Columns (n, m) of each signal, N, as rows of the system (N, m)."""
         short = [w.short(c) for w, c in zip(self.whiteners, columns, strict=True)]
         fast = sum(b.T @ c for b, c in zip(self.back, columns, strict=True))
-        return np.concatenate([*short, np.asarray(fast), np.zeros((self.spare, columns[0].shape[1]))])
+        return np.concatenate([*short, np.asarray(fast)])
 
     def of_whitened(self, white: Array) -> Array:
         """Rows of the system from columns (S, n, m) that are whitened row by row."""
         short = [np.concatenate([s.blocks @ c[s.rows] for s in w.stretches]) for w, c in zip(self.whiteners, white, strict=True)]
         fast = np.einsum("snk,snm->km", self.patterns, white)
-        return np.concatenate([*short, fast, np.zeros((self.spare, white.shape[2]))])
+        return np.concatenate([*short, fast])
 
-    def variants(self, effect: Effect, scans: Sequence[Scanned], columns: Sequence[Array]) -> Array:
+    def variants(self, columns: Sequence[Array]) -> Array:
         """Columns (V, n, m) of each signal as rows (N, V, m)."""
         V, n, m = columns[0].shape
-        return self._spared(effect, scans, self.rows([c.swapaxes(0, 1).reshape(n, V * m) for c in columns]).reshape(-1, V, m))
+        return self.rows([c.swapaxes(0, 1).reshape(n, V * m) for c in columns]).reshape(-1, V, m)
 
-    def by_force(self, effect: Effect, scans: Sequence[Scanned], force: Array) -> Array:
+    def by_force(self, force: Array) -> Array:
         """The same of an effect that does no more than change the contact force, by (n, V, m) N: one product for all signals."""
         n, V, m = force.shape
         columns = force.reshape(n, V * m)
         fast = sum(len(s.blocks) for w in self.whiteners for s in w.stretches)
-        out = np.zeros((fast + self.back.shape[2] + self.spare, V * m))
+        out = np.zeros((fast + self.back.shape[2], V * m))
         for rows, place, both in self._of_force:
             part = both @ columns[rows]
             out[place] = part[: len(place)]
-            out[fast : fast + self.back.shape[2]] += part[len(place) :]
-        return self._spared(effect, scans, out.reshape(-1, V, m))
+            out[fast:] += part[len(place) :]
+        return out.reshape(-1, V, m)
 
     @cached_property
     def _of_force(self) -> list[tuple[Index, Index, Array]]:
@@ -110,15 +86,6 @@ class LogAverages:
             found.append((stretch.rows, place, np.vstack([*short, np.asarray(patterns)[stretch.rows].T])))
         return found
 
-    def _spared(self, effect: Effect, scans: Sequence[Scanned], out: Array) -> Array:
-        """Rows (N, V, m) with what averages lose of variants that are not kept whole."""
-        spare = self.spares.get(effect.name)
-        if spare is not None:
-            for v, root in enumerate(spare.root(scan_key(scanned)) for scanned in scans):
-                if root is not None:
-                    out[len(out) - self.spare : len(out) - self.spare + out.shape[2], v] = root
-        return out
-
 
 def log_averages(
     problem: ForceProblem,
@@ -130,7 +97,7 @@ def log_averages(
 ) -> LogAverages:
     """The rows for this fit: fast patterns of `effects`, of all that is active and of waves that were picked."""
     n, count = len(problem.log), len(fit.whiteners)
-    chosen, spares = [np.zeros((count, n, 0))], dict[str, Spare]()
+    chosen = [np.zeros((count, n, 0))]
     for one in fit.active:
         both = effect_derivatives(problem.scene, fit.at, fit.slopes, one.effect, one.joint, [one.scanned])
         if both is not None:
@@ -139,18 +106,12 @@ def log_averages(
     for effect in effects:
         if effect.on_arm or effect.along is not None or not _is_fast(problem, fit, effect, around):
             continue
-        scans = tuple(effect.scan(0, around))
-        made = _whole(problem, fit, effect, scans, store)
-        if len(scans) * effect.size <= FEW:
-            chosen += [_lost(fit, [c[v] for c in made]) for v in range(len(scans))]
-            continue
-        best, spares[effect.name] = _telling(fit, effect, scans, made)
-        chosen += [_lost(fit, [c[v] for c in made]) for v in best]
+        made = _whole(problem, fit, effect, tuple(effect.scan(0, around)), store)
+        chosen += [_lost(fit, [c[v] for c in made]) for v in range(len(made[0]))]
     patterns = _orthonormal(np.concatenate(chosen, axis=2))
     back = np.stack([w.back(p) for w, p in zip(fit.whiteners, patterns, strict=True)])
-    spare = max((s.roots.shape[1] for s in spares.values()), default=0)
     slopes = np.stack([fit.at.fn_slope, fit.at.ft_slope][:count])
-    return LogAverages(fit.whiteners, patterns, back, spares, spare, slopes, problem.log.contact)
+    return LogAverages(fit.whiteners, patterns, back, slopes, problem.log.contact)
 
 
 def _lost(fit: EffectFit, columns: Sequence[Array]) -> Array:
@@ -185,27 +146,6 @@ def _whole(problem: ForceProblem, fit: EffectFit, effect: Effect, scans: Sequenc
     columns = np.concatenate(parts, axis=1)
     store[effect.name] = (tuple(scans), columns)
     return list(columns)
-
-
-def _telling(fit: EffectFit, effect: Effect, scans: Sequence[Scanned], made: Sequence[Array]) -> tuple[list[int], Spare]:
-    """Variants whose lost part the residual speaks for most, and the lengths of all."""
-    n, m, scale = made[0].shape[1], effect.size, np.asarray(effect.prior_sd)
-    keys = tuple(scan_key(s) for s in scans)
-    probes = np.unique(np.linspace(0, len(scans) - 1, PROBES).round().astype(int))
-    lost = [_lost(fit, [c[v] for c in made]).reshape(-1, m) for v in probes]
-    roots = [np.asarray(np.linalg.qr(part, mode="r"), float) for part in lost]
-    nearest = np.array([int(np.argmin(np.abs(probes - v))) for v in range(len(scans))])
-    score = np.zeros((len(scans), m))
-    for s, (whitener, columns) in enumerate(zip(fit.whiteners, made, strict=False)):
-        rest = whitener.lost(fit.residual[s * n : (s + 1) * n, None])
-        score += np.einsum("vnm,n->vm", columns, whitener.back(rest)[:, 0])
-    G = np.stack([r.T @ r for r in roots]) * np.outer(scale, scale)
-    score *= scale
-    gain = np.einsum("vi,vij,vj->v", score, np.linalg.inv(G + np.eye(m))[nearest], score)
-    active = {scan_key(one.scanned) for one in fit.active if one.effect.name == effect.name}
-    best = list(np.argsort(-gain)[: max(MOST // m, 1)])
-    best += [v for v, key in enumerate(keys) if key in active and v not in best]
-    return best, Spare(frozenset({keys[v] for v in best} | active), keys, np.stack(roots), nearest)
 
 
 def _orthonormal(columns: Array) -> Array:
