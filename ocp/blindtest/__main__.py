@@ -1,19 +1,18 @@
 """`python -m ocp.blindtest`: the diagnosis judged on sealed worlds, against its rivals, chance and the oracle."""
 
-import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from ocp.data import CELL
-from ocp.shell.command import answer, command, command_line, main, run, shown_progress
+from ocp.shell.command import answer, command, command_line, main, shown_progress
 
 app = command_line()
 ALL = "single,none,none_background,pair,triple,outside,left_out"
 
 
-@command(app, "python -m ocp.blindtest --worlds 95 --seed 101 --out blindtest")
+@command(app, "python -m ocp.blindtest --worlds 95 --seed 101 --out blindtest", failed="not judged")
 def _blindtest(
     worlds: Annotated[int, typer.Option(help="how many worlds; more than before goes on where the last run ended")] = 95,
     kinds: Annotated[str, typer.Option(help="kinds of worlds, with commas; all by default")] = ALL,
@@ -26,16 +25,13 @@ def _blindtest(
     readings: Annotated[int, typer.Option(help="readings of a campaign")] = 150,
     again: Annotated[bool, typer.Option(help="answer all worlds anew, with the diagnosis as it is now")] = False,
     overwrite: Annotated[bool, typer.Option(help="begin anew, with new worlds")] = False,
-) -> None:
+) -> str:
     """Draw and seal worlds, let the diagnosis answer them blind, then open the labels and score."""
     asked = dict(locals())  # as `interface.blindtest` names them
-    from ocp.blindtest import interface  # heavy imports only once the arguments stand
+    from ocp.blindtest import interface
 
-    def job() -> str:
-        with shown_progress() as progress:
-            return answer(interface.blindtest(**asked | {"kinds": kinds.split(","), "cell": cell or CELL}, progress=progress))
-
-    sys.exit(run(job, "not judged"))
+    with shown_progress() as progress:
+        return answer(interface.blindtest(**asked | {"kinds": kinds.split(","), "cell": cell or CELL}, progress=progress))
 
 
 if __name__ == "__main__":

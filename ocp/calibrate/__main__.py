@@ -1,17 +1,16 @@
 """`python -m ocp.calibrate tracker.csv --cell cell.toml`: a calibrated arm with its covariance and a report."""
 
-import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from ocp.shell.command import answer, command, command_line, main, run, shown_progress
+from ocp.shell.command import answer, command, command_line, main, shown_progress
 
 app = command_line()
 
 
-@command(app, "python -m ocp.calibrate tracker.csv --cell cell.toml --force force.csv")
+@command(app, "python -m ocp.calibrate tracker.csv --cell cell.toml --force force.csv", failed="not calibrated")
 def _calibrate(
     tracker: Annotated[Path, typer.Argument(help="laser-tracker readings, tracker.csv")],
     cell: Annotated[Path, typer.Option(help="the cell file")],
@@ -22,16 +21,13 @@ def _calibrate(
     ] = None,
     out: Annotated[Path, typer.Option(help="folder to write")] = Path("calibration"),
     overwrite: Annotated[bool, typer.Option(help="replace a folder that is not empty")] = False,
-) -> None:
+) -> str:
     """Calibrate the robot from laser-tracker readings and, with a force log, the contact of blade and wheel."""
     asked = dict(locals())  # as `interface.calibrate` names them
-    from ocp.calibrate import interface  # heavy imports only once the arguments stand
+    from ocp.calibrate import interface
 
-    def job() -> str:
-        with shown_progress() as progress:
-            return answer(interface.calibrate(**asked, progress=progress))
-
-    sys.exit(run(job, "not calibrated"))
+    with shown_progress() as progress:
+        return answer(interface.calibrate(**asked, progress=progress))
 
 
 if __name__ == "__main__":

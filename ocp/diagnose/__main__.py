@@ -1,17 +1,16 @@
 """`python -m ocp.diagnose run/`: where the gap lies, which effect causes it, how far it shrinks, what to measure next."""
 
-import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from ocp.shell.command import answer, command, command_line, main, run, shown_progress
+from ocp.shell.command import answer, command, command_line, main, shown_progress
 
 app = command_line()
 
 
-@command(app, "python -m ocp.diagnose run --out diagnosis")
+@command(app, "python -m ocp.diagnose run --out diagnosis", failed="not diagnosed")
 def _diagnose(
     folder: Annotated[Path | None, typer.Argument(help="data set: cell.toml with tracker.csv, force.csv, joints.csv")] = None,
     out: Annotated[Path, typer.Option(help="folder to write")] = Path("diagnosis"),
@@ -27,33 +26,30 @@ def _diagnose(
         Path | None, typer.Option(help="with --design: the planned force log, as force.csv without fn_N, or plan.csv of ocp.plan")
     ] = None,
     list_effects: Annotated[bool, typer.Option(help="list the catalogue with units and usual ranges")] = False,
-) -> None:
+) -> str:
     """Say where model and cell differ, which effect causes it, and how far the gap shrinks with it."""
-    from robots.errors import BadInput  # imports only once the arguments stand, and only what they ask for
+    from robots.errors import BadInput  # imports only what the arguments ask for
 
-    def job() -> str:
-        if list_effects:
-            from ocp.effects.catalogue import effect_list
+    if list_effects:
+        from ocp.effects.catalogue import effect_list
 
-            return effect_list()
-        if poses is not None and design is None:
-            raise BadInput("--poses goes with --design cell.toml; measured readings belong into the data set's folder")
-        if log is not None and design is None:
-            raise BadInput("--log goes with --design cell.toml; a measured log belongs into the data set's folder as force.csv")
-        if design is not None and folder is not None:
-            raise BadInput(f"{folder}: --design looks at a plan, not at a data set; give one of them")
-        if design is not None:
-            from ocp.diagnose.foresee.design import design_text
+        return effect_list()
+    if poses is not None and design is None:
+        raise BadInput("--poses goes with --design cell.toml; measured readings belong into the data set's folder")
+    if log is not None and design is None:
+        raise BadInput("--log goes with --design cell.toml; a measured log belongs into the data set's folder as force.csv")
+    if design is not None and folder is not None:
+        raise BadInput(f"{folder}: --design looks at a plan, not at a data set; give one of them")
+    if design is not None:
+        from ocp.diagnose.foresee.design import design_text
 
-            return design_text(design, poses, log)
-        if folder is None:
-            raise BadInput("no data set is named; give the folder that holds cell.toml and measurements, or --design cell.toml")
-        from ocp.diagnose import interface
+        return design_text(design, poses, log)
+    if folder is None:
+        raise BadInput("no data set is named; give the folder that holds cell.toml and measurements, or --design cell.toml")
+    from ocp.diagnose import interface
 
-        with shown_progress() as progress:
-            return answer(interface.diagnose(folder, out=out, columns=columns, overwrite=overwrite, progress=progress))
-
-    sys.exit(run(job, "not diagnosed"))
+    with shown_progress() as progress:
+        return answer(interface.diagnose(folder, out=out, columns=columns, overwrite=overwrite, progress=progress))
 
 
 if __name__ == "__main__":

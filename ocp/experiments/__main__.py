@@ -1,19 +1,18 @@
 """`python -m ocp.experiments`: the paper's experiments on many virtual robots, with its numbers beside ours."""
 
-import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from ocp.data import CELL
-from ocp.shell.command import command, command_line, main, run, shown_progress
+from ocp.shell.command import command, command_line, main, shown_progress
 from robots.errors import BadInput
 
 app = command_line()
 
 
-@command(app, "python -m ocp.experiments --robots 30 --out experiments")
+@command(app, "python -m ocp.experiments --robots 30 --out experiments", failed="no experiment")
 def _experiments(
     cell: Annotated[Path, typer.Option(help="the cell file", show_default="the bundled one")] = CELL,
     robots: Annotated[int, typer.Option(help="how many virtual robots")] = 30,
@@ -24,37 +23,34 @@ def _experiments(
     scheduler: Annotated[str | None, typer.Option(help="tcp://..: a Dask cluster does it instead")] = None,
     out: Annotated[Path, typer.Option(help="folder to write")] = Path("experiments"),
     overwrite: Annotated[bool, typer.Option(help="replace a folder that is not empty")] = False,
-) -> None:
+) -> str:
     """Calibrate virtual robots, compensate, grind: positions by four methods and force after each step, with a report."""
     from ocp.experiments.grinding import MOUNTS
     from ocp.experiments.report import last_line, write_experiments
     from ocp.experiments.trial import run_trials, trials_json
-    from ocp.model.cell import files_of, read_cell  # heavy imports only once the arguments stand
+    from ocp.model.cell import files_of, read_cell
     from ocp.shell.executor import Hands
     from ocp.shell.output import reserved
     from ocp.shell.processes import cores
     from ocp.shell.progress import Phases
 
-    def job() -> str:
-        if mount not in (*MOUNTS, "both"):
-            raise BadInput(f"--mount '{mount}' is not flange, rigid or both")
-        limits = ("robots", robots, 1, 10000), ("poses", poses, 20, 1000), ("seed", seed, 0, 2**31), ("jobs", jobs, 0, 64)
-        for name, value, least, most in limits:
-            if not least <= value <= most:
-                raise BadInput(f"--{name} {value} must lie between {least} and {most}")
-        mounts = list(MOUNTS) if mount == "both" else [mount]
-        seeds = list(range(seed, seed + robots))
-        with reserved(out, overwrite, files_of(cell)) as output:
-            believed = read_cell(cell)
-            with shown_progress() as progress:
-                trials = run_trials(believed, mounts, seeds, poses, Hands(jobs or cores(), scheduler), Phases(progress))
-            options: dict[str, object] = {"cell": believed.name, "robots": robots, "seed": seed, "poses": poses, "mounts": mounts}
-            with output.whole() as folder:
-                (folder / "experiments.json").write_text(trials_json(trials, options))
-                write_experiments(trials, believed.process.force, folder)
-        return f"{out}: {last_line(trials, believed.process.force)}. {out / 'report.html'} has tables and figures."
-
-    sys.exit(run(job, "no experiment"))
+    if mount not in (*MOUNTS, "both"):
+        raise BadInput(f"--mount '{mount}' is not flange, rigid or both")
+    limits = ("robots", robots, 1, 10000), ("poses", poses, 20, 1000), ("seed", seed, 0, 2**31), ("jobs", jobs, 0, 64)
+    for name, value, least, most in limits:
+        if not least <= value <= most:
+            raise BadInput(f"--{name} {value} must lie between {least} and {most}")
+    mounts = list(MOUNTS) if mount == "both" else [mount]
+    seeds = list(range(seed, seed + robots))
+    with reserved(out, overwrite, files_of(cell)) as output:
+        believed = read_cell(cell)
+        with shown_progress() as progress:
+            trials = run_trials(believed, mounts, seeds, poses, Hands(jobs or cores(), scheduler), Phases(progress))
+        options: dict[str, object] = {"cell": believed.name, "robots": robots, "seed": seed, "poses": poses, "mounts": mounts}
+        with output.whole() as folder:
+            (folder / "experiments.json").write_text(trials_json(trials, options))
+            write_experiments(trials, believed.process.force, folder)
+    return f"{out}: {last_line(trials, believed.process.force)}. {out / 'report.html'} has tables and figures."
 
 
 if __name__ == "__main__":

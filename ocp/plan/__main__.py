@@ -1,13 +1,12 @@
 """`python -m ocp.plan [blade.stl ..] [--cell cell.toml]`: a verified KRL program and a report, of one blade or of each."""
 
-import sys
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 from ocp.data import CELL
-from ocp.shell.command import NOT_SOLVED, OK, answer, command, command_line, main, run, shown_progress
+from ocp.shell.command import NOT_SOLVED, OK, answer, command, command_line, main, shown_progress
 from robots.errors import BadInput
 
 app = command_line()
@@ -33,36 +32,25 @@ def _plan(
     whole: Annotated[bool, typer.Option(help="refuse the blade where any of it has to be left out")] = False,
     jobs: Annotated[int, typer.Option(help="several blades: processes, a blade each; 0: one for each core")] = 0,
     scheduler: Annotated[str | None, typer.Option(help="several blades, tcp://..: a Dask cluster plans them")] = None,
-) -> None:
+) -> str:
     """Plan the grinding of a blade: joints that hold the process force, KRL files and a report to look at first."""
-    from ocp.plan.interface import plan_unless_kept  # heavy imports only once the arguments stand
+    from ocp.plan.interface import plan_unless_kept
 
     several = len(blade or ()) > 1
+    one: dict[str, Any] = {"path": path, "program": program, "name": name}
+    if several and (option := next((key for key, value in one.items() if value is not None), None)):
+        raise BadInput(f"--{option} is of one blade and {len(blade or ())} are named; plan that blade alone")
+    if not several and (jobs or scheduler is not None):
+        raise BadInput("--jobs and --scheduler spread several blades and there is one; leave them out")
+    asked: dict[str, Any] = {"out": out, "cell": cell, "overwrite": overwrite, "stock": stock, "kind": kind, "whole": whole}
+    with shown_progress() as progress:
+        asked |= {"step": step * 1e-3, "progress": progress}
+        if not several:
+            return answer(plan_unless_kept(blade[0] if blade else None, **asked, **one))
+        from ocp.plan import night
 
-    def job() -> str:
-        given: dict[str, Any] = {"--path": path, "--program": program, "--name": name}
-        if several and (option := next((key for key, value in given.items() if value is not None), None)):
-            raise BadInput(f"{option} is of one blade and {len(blade or ())} are named; plan that blade alone")
-        if not several and (jobs or scheduler is not None):
-            raise BadInput("--jobs and --scheduler spread several blades and there is one; leave them out")
-        asked: dict[str, Any] = {
-            "out": out,
-            "cell": cell,
-            "overwrite": overwrite,
-            "stock": stock,
-            "kind": kind,
-            "step": step * 1e-3,
-        }
-        with shown_progress() as progress:
-            if not several:
-                one: dict[str, Any] = {"path": path, "program": program, "name": name}
-                return answer(plan_unless_kept(blade[0] if blade else None, **asked, **one, whole=whole, progress=progress))
-            from ocp.plan import night
-
-            made = night.plan_night(blade or (), **asked, whole=whole, jobs=jobs, scheduler=scheduler, progress=progress)
-            return answer(made, NOT_SOLVED if made.failed else OK)
-
-    sys.exit(run(job))
+        made = night.plan_night(blade or (), **asked, jobs=jobs, scheduler=scheduler)
+        return answer(made, NOT_SOLVED if made.failed else OK)
 
 
 if __name__ == "__main__":

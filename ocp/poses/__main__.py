@@ -1,6 +1,5 @@
 """`python -m ocp.poses --cell cell.toml -n 40`: where to measure before a calibration."""
 
-import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -8,13 +7,13 @@ import numpy as np
 import typer
 
 from ocp.data import CELL
-from ocp.shell.command import answer, command, command_line, main, run, shown_progress
+from ocp.shell.command import answer, command, command_line, main, shown_progress
 from robots.errors import BadInput
 
 app = command_line()
 
 
-@command(app, "python -m ocp.poses --cell cell.toml -n 40 --payload bare --payload weight")
+@command(app, "python -m ocp.poses --cell cell.toml -n 40 --payload bare --payload weight", failed="no poses chosen")
 def _poses(
     cell: Annotated[Path, typer.Option(help="the cell file", show_default="the bundled one")] = CELL,
     count: Annotated[int, typer.Option("-n", help="how many poses; each is read twice, approached from either side")] = 40,
@@ -34,19 +33,16 @@ def _poses(
     joint_noise: Annotated[float, typer.Option(help="repeatability of an axis, one sigma in urad")] = 10.0,
     out: Annotated[Path, typer.Option(help="folder to write")] = Path("poses"),
     overwrite: Annotated[bool, typer.Option(help="replace a folder that is not empty")] = False,
-) -> None:
+) -> str:
     """Choose the poses of a laser-tracker campaign, tell what accuracy they will give, and write CSV and KRL programs."""
     asked = dict(locals())  # as `interface.choose_poses` names them, but in the units of the command line
-    from ocp.poses import interface  # heavy imports only once the arguments stand
+    from ocp.poses import interface
 
-    def job() -> str:
-        lists = {"payloads": payloads or (), "targets": targets or (), "tracker": _place(tracker)}
-        angles = {n: None if asked[n] is None else float(np.radians(asked[n])) for n in ("approach", "acceptance")}
-        sizes = {"length_sd": 1e-3 * length_sd, "angle_sd": 1e-3 * angle_sd, "joint_noise": 1e-6 * joint_noise}
-        with shown_progress() as progress:
-            return answer(interface.choose_poses(**asked | lists | angles | sizes, progress=progress))
-
-    sys.exit(run(job, "no poses chosen"))
+    lists = {"payloads": payloads or (), "targets": targets or (), "tracker": _place(tracker)}
+    angles = {n: None if asked[n] is None else float(np.radians(asked[n])) for n in ("approach", "acceptance")}
+    sizes = {"length_sd": 1e-3 * length_sd, "angle_sd": 1e-3 * angle_sd, "joint_noise": 1e-6 * joint_noise}
+    with shown_progress() as progress:
+        return answer(interface.choose_poses(**asked | lists | angles | sizes, progress=progress))
 
 
 def _place(text: str | None) -> list[float] | None:

@@ -77,14 +77,10 @@ def remember(kind: str, key: str, compute: Callable[[], Entry]) -> Entry:
         key: what `content_key` gave for everything the result depends on.
         compute: called without arguments when there is no readable entry; its errors pass through.
     """
-    folder = cache_folder()
-    if folder is None:
-        return compute()
-    path = folder / f"{kind}-{key}{SUFFIX}"
-    entry = _read(path)
+    entry = recall(kind, key)
     if entry is None:
         entry = compute()
-        _write(path, entry)
+        keep(kind, key, entry)
     return entry
 
 

@@ -66,11 +66,14 @@ def command_line(help: str | None = None, completion: bool = False, example: str
     )
 
 
-def command(app: typer.Typer, *example: str, name: str | None = None) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Decorator that makes a function a command of `app`: its own options, then those that all commands have; example: a line
-    of the shell, or several, shown below the help."""
+def command(
+    app: typer.Typer, *example: str, name: str | None = None, failed: str = "no safe plan"
+) -> Callable[[Callable[..., str]], Callable[..., str]]:
+    """Decorator that makes a function a command of `app`: its own options, then those that all commands have. The function does
+    the command's job and returns the plain last line; it imports what is heavy itself, once the arguments stand. example: a line
+    of the shell, or several, shown below the help; failed: what is told where no result was found."""
 
-    def decorated(function: Callable[..., None]) -> Callable[..., None]:
+    def decorated(function: Callable[..., str]) -> Callable[..., str]:
         signature = inspect.signature(function, eval_str=True)
         for key, parameter in signature.parameters.items():
             for option in getattr(parameter.annotation, "__metadata__", ()):
@@ -83,7 +86,7 @@ def command(app: typer.Typer, *example: str, name: str | None = None) -> Callabl
         def called(**given: Any) -> None:
             global _telling
             _telling = _Telling(**{key: given.pop(key) for key in _OPTIONS})
-            function(**given)
+            sys.exit(run(lambda: function(**given), failed))
 
         parameters = [p.replace(kind=kind) for p in signature.parameters.values()] + more
         called.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]

@@ -1,17 +1,16 @@
 """`python -m ocp.simulate [plan/] [--cell cell.toml]`: run a plan on a virtual cell, see the force, write the logs."""
 
-import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from ocp.shell.command import answer, command, command_line, main, run, shown_progress
+from ocp.shell.command import answer, command, command_line, main, shown_progress
 
 app = command_line()
 
 
-@command(app, "python -m ocp.simulate plan --seed 3 --effect backlash:5=2e-4")
+@command(app, "python -m ocp.simulate plan --seed 3 --effect backlash:5=2e-4", failed="not simulated")
 def _simulate(
     plan: Annotated[Path | None, typer.Argument(help="folder that ocp.plan wrote; without it only the tracker campaign")] = None,
     cell: Annotated[Path | None, typer.Option(help="the cell file; without it the one the plan was made with")] = None,
@@ -39,22 +38,17 @@ def _simulate(
     list_effects: Annotated[bool, typer.Option(help="print what can be planted")] = False,
     out: Annotated[Path, typer.Option(help="folder to write")] = Path("run"),
     overwrite: Annotated[bool, typer.Option(help="replace a folder that is not empty")] = False,
-) -> None:
+) -> str:
     """Rehearse a plan on a virtual cell that shares no code with the planner, and write the data a real cell would give."""
     asked = {name: value for name, value in locals().items() if name != "list_effects"}  # as `interface.simulate` names them
-    from ocp.simulate import interface  # heavy imports only once the arguments stand
+    from ocp.simulate import interface
     from ocp.simulate.input import numbers, setpoints
 
-    def job() -> str:
-        if list_effects:
-            return interface.plantable_effects()
-        asked["effects"] = effects or ()
-        asked["ladder"] = setpoints(ladder)
-        asked["belts"] = () if belts is None else numbers("--belt", belts)
-        with shown_progress() as progress:
-            return answer(interface.simulate(**asked, progress=progress))
-
-    sys.exit(run(job, "not simulated"))
+    if list_effects:
+        return interface.plantable_effects()
+    asked |= {"effects": effects or (), "ladder": setpoints(ladder), "belts": () if belts is None else numbers("--belt", belts)}
+    with shown_progress() as progress:
+        return answer(interface.simulate(**asked, progress=progress))
 
 
 if __name__ == "__main__":

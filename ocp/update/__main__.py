@@ -1,17 +1,16 @@
 """`python -m ocp.update force.csv --cell cell.toml [--removal removal.csv]`: the cell after one more blade."""
 
-import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from ocp.shell.command import answer, command, command_line, main, run, shown_progress
+from ocp.shell.command import answer, command, command_line, main, shown_progress
 
 app = command_line()
 
 
-@command(app, "python -m ocp.update force.csv --cell cell.toml --removal removal.csv")
+@command(app, "python -m ocp.update force.csv --cell cell.toml --removal removal.csv", failed="not updated")
 def _update(
     force: Annotated[Path, typer.Argument(help="force log of the last blade, force.csv")],
     cell: Annotated[Path, typer.Option(help="the cell file that the blade was ground with")],
@@ -22,16 +21,13 @@ def _update(
     ] = None,
     out: Annotated[Path, typer.Option(help="folder to write")] = Path("update"),
     overwrite: Annotated[bool, typer.Option(help="replace a folder that is not empty")] = False,
-) -> None:
+) -> str:
     """Bring wheel, blade, flange and wear up to date from one blade's force log, without a new campaign."""
     asked = locals() | {"changed": changed or ()}  # as `interface.update` names them
-    from ocp.update import interface  # heavy imports only once the arguments stand
+    from ocp.update import interface
 
-    def job() -> str:
-        with shown_progress() as progress:
-            return answer(interface.update(**asked, progress=progress))
-
-    sys.exit(run(job, "not updated"))
+    with shown_progress() as progress:
+        return answer(interface.update(**asked, progress=progress))
 
 
 if __name__ == "__main__":

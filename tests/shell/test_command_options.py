@@ -10,7 +10,7 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from ocp.shell.command import answer, command, command_line, refusal, run, shown_progress
+from ocp.shell.command import answer, command, command_line, refusal, shown_progress
 from ocp.shell.progress import Phases
 from robots.errors import BadInput
 
@@ -26,14 +26,11 @@ def app_writing(folder: Path, fault: str = "") -> typer.Typer:
     app = command_line()
 
     @command(app, "make it")
-    def make(overwrite: bool = False) -> None:
-        def job() -> str:
-            if fault:
-                raise BadInput(fault)
-            with shown_progress() as progress, Phases(progress).phase("milling", 3):
-                return answer(Made(folder))
-
-        raise typer.Exit(run(job))
+    def make(overwrite: bool = False) -> str:
+        if fault:
+            raise BadInput(fault)
+        with shown_progress() as progress, Phases(progress).phase("milling", 3):
+            return answer(Made(folder))
 
     return app
 
