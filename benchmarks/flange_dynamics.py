@@ -21,9 +21,9 @@ from ocp.model.cell import Cell, read_cell
 from ocp.simulate.twin.contact.flange_motion import move
 from ocp.simulate.twin.contact.grinder import ContactPatches, moving_device
 from ocp.simulate.twin.controller import drive
-from ocp.simulate.twin.ground_depth import ground_depth
 from ocp.simulate.twin.krl_text import read_program
 from ocp.simulate.twin.plan_knowledge import cell_of_plan, match, read_plan_table, read_summary, recorded_input, with_hash
+from ocp.simulate.twin.rehearsal import ground_depth
 from ocp.simulate.twin.run import GrindingConditions, VirtualMachine, approach, make_machine, refuse_crash
 from ocp.simulate.twin.touching import Touching, carried_acceleration, in_time, touch_figures
 from ocp.simulate.twin.truth import draw_truth

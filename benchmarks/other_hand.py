@@ -25,8 +25,8 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from ocp.blindtest.answers import FAULTS
+from ocp.blindtest.interface import draw_effects
 from ocp.blindtest.oracle.tracker import TrackerView, exact_whitener, scene_of, tracker_nuisance, tracker_root, white_points
-from ocp.blindtest.running import draw_effects
 from ocp.blindtest.scoring import decided_names, declared_classes, first_right, matched
 from ocp.blindtest.worlds.machines import PAYLOAD_MASS, TrackerMachine, arm_with_outside
 from ocp.blindtest.worlds.recipes import BINS, SEVERAL, STRANGE, Recipe

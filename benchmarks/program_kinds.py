@@ -18,9 +18,9 @@ import numpy as np
 from ocp.api import plan
 from ocp.model.cell import Cell, read_cell
 from ocp.simulate.twin.controller import drive
-from ocp.simulate.twin.ground_depth import ground_depth
 from ocp.simulate.twin.krl_text import read_program
 from ocp.simulate.twin.plan_knowledge import match, read_plan_table
+from ocp.simulate.twin.rehearsal import ground_depth
 from ocp.simulate.twin.run import GrindingConditions, approach, make_machine
 from ocp.simulate.twin.touching import Touching, touch_figures
 from ocp.simulate.twin.truth import draw_truth

@@ -1,5 +1,8 @@
 """Rigid transforms as 4 x 4 homogeneous matrices, in stacks with the leading axes free."""
 
+from dataclasses import dataclass, fields, replace
+from typing import Any, Self
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
@@ -89,6 +92,18 @@ def apply(T: ArrayLike, points: ArrayLike) -> Array:
     """Transform points (..., 3) by T (..., 4, 4), leading axes broadcast."""
     T, points = np.asarray(T, float), np.asarray(points, float)
     return np.asarray((T[..., :3, :3] @ points[..., None])[..., 0] + T[..., :3, 3])
+
+
+@dataclass(frozen=True)
+class Stacked:
+    """Arrays with one leading axis, the rows, beside names and numbers that hold for all of them."""
+
+    def take(self, rows: Any) -> Self:
+        """The rows of an index, slice or mask; names keep their indices."""
+        known = {f.name: getattr(self, f.name) for f in fields(self)}
+        taken: dict[str, Any] = {name: value[rows] for name, value in known.items() if isinstance(value, np.ndarray)}
+        taken |= {name: value.take(rows) for name, value in known.items() if isinstance(value, Stacked)}
+        return replace(self, **taken)
 
 
 def skew(v: ArrayLike) -> Array:

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from robots.column_mapping import ColumnMapping
 from robots.csv_table import OURS, CsvTable, read_csv_table
 from robots.errors import BadInput, shown
-from robots.pose import Array, rotations_in_order
+from robots.pose import Array, Stacked, rotations_in_order
 
 Index = NDArray[np.int64]
 
@@ -77,7 +77,7 @@ class Instrument:
 
 
 @dataclass(frozen=True)
-class Readings:
+class Readings(Stacked):
     """n readings. q (n, 6) rad commanded; point (n, 3) m in the tracker's frame, nan where it is to be predicted.
 
     Words as indices into their names: target, payload, session, station (n,). load (n, 6) N, N m in base axes at
@@ -122,11 +122,6 @@ class Readings:
         if self.turn is None:
             return np.zeros(len(self), bool)
         return np.asarray(np.isfinite(self.turn).all(axis=(1, 2)))
-
-    def take(self, rows: NDArray[np.generic]) -> "Readings":
-        """The readings of an index or mask; names keep their indices."""
-        arrays = {name: value[rows] for name, value in vars(self).items() if isinstance(value, np.ndarray)}
-        return replace(self, **arrays)
 
     def timed(self, time: Array) -> "Readings":
         """The readings, nothing else having been read between them, at instants (n,) s, with the motion to each."""

@@ -1,6 +1,7 @@
 """Contact frames that come from elsewhere, put onto the surface of a blade and completed into passes; also those of a path.csv,
 read and checked line by line."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -46,25 +47,8 @@ def paths_from_points(
     Raises: BadInput for points off the surface, wrong normals or feed directions, passes of fewer than 3 points.
     """
     _refuse_lengths(source, places, n, t)
-    name, u, v, foot, normal = locate(shape, p)
-    place_on_mesh(blade, name, foot, normal, p)
-    gap = np.linalg.norm(foot - p, axis=1)
-    if (gap > OFF_SURFACE).any():
-        k = int(np.argmax(gap > OFF_SURFACE))
-        raise BadInput(
-            f"{source}, {places[k]}: the point {place_mm(p[k])} is {1e3 * gap[k]:.3f} mm off the surface of {blade.name}, "
-            f"the limit is {1e3 * OFF_SURFACE:g} mm ({int((gap > OFF_SURFACE).sum())} such points): is it the same blade "
-            f"in the same frame?"
-        )
-    n = n / np.linalg.norm(n, axis=1, keepdims=True)
-    angle = np.arccos(np.clip(np.einsum("ni,ni->n", n, normal), -1.0, 1.0))
-    if (angle > NORMAL_LIMIT).any():
-        k = int(np.argmax(angle > NORMAL_LIMIT))
-        how = "points into the blade" if angle[k] > np.pi / 2 else f"is {np.rad2deg(angle[k]):.1f} deg off the surface's"
-        raise BadInput(
-            f"{source}, {places[k]}: the normal ({n[k, 0]:.4f}, {n[k, 1]:.4f}, {n[k, 2]:.4f}) {how}, the limit is "
-            f"{np.rad2deg(NORMAL_LIMIT):g} deg; give outward unit normals."
-        )
+    name, u, v, foot, normal, gap = feet_on_blade(blade, shape, p, lambda k: f"{source}, {places[k]}")
+    angle = angles_to_surface(n, normal, lambda k: f"{source}, {places[k]}")
     paths = []
     starts = np.flatnonzero(np.concatenate([[True], line[1:] != line[:-1]]))
     for i, j in zip(starts, [*starts[1:], len(line)], strict=True):
@@ -105,6 +89,40 @@ def _refuse_lengths(source: str, places: list[str], n: Array, t: Array) -> None:
                 f"{source}, {places[k]}: the vector ({what}x, {what}y, {what}z) has length {length[k]:.4g}, "
                 f"a unit vector is expected."
             )
+
+
+def feet_on_blade(
+    blade: Blade, shape: AerofoilShape, p: Array, where: Callable[[int], str]
+) -> tuple[NDArray[np.str_], Array, Array, Array, Array, Array]:
+    """As `locate`, edges on the mesh itself, and the distance (m,) m of each point p (m, 3) from its foot.
+
+    Raises BadInput: a point is farther than OFF_SURFACE from the blade; `where` names it.
+    """
+    name, u, v, foot, normal = locate(shape, p)
+    place_on_mesh(blade, name, foot, normal, p)
+    gap = np.linalg.norm(foot - p, axis=1)
+    off = gap > OFF_SURFACE
+    if off.any():
+        k = int(np.argmax(off))
+        raise BadInput(
+            f"{where(k)}: the point {place_mm(p[k])} is {1e3 * gap[k]:.3f} mm off the surface of {blade.name}, the limit is "
+            f"{1e3 * OFF_SURFACE:g} mm ({int(off.sum())} such points): is it the same blade in the same frame?"
+        )
+    return name, u, v, foot, normal, gap
+
+
+def angles_to_surface(n: Array, normal: Array, where: Callable[[int], str]) -> Array:
+    """Angles (m,) rad between given normals n (m, 3) and the surface's. Raises BadInput: one is beyond NORMAL_LIMIT."""
+    n = n / np.linalg.norm(n, axis=1, keepdims=True)
+    angle = np.arccos(np.clip(np.einsum("ni,ni->n", n, normal), -1.0, 1.0))
+    if (angle > NORMAL_LIMIT).any():
+        k = int(np.argmax(angle > NORMAL_LIMIT))
+        how = "points into the blade" if angle[k] > np.pi / 2 else f"is {np.rad2deg(angle[k]):.1f} deg off the surface's"
+        raise BadInput(
+            f"{where(k)}: the normal ({n[k, 0]:.4f}, {n[k, 1]:.4f}, {n[k, 2]:.4f}) {how}, the limit is "
+            f"{np.rad2deg(NORMAL_LIMIT):g} deg; give outward unit normals."
+        )
+    return np.asarray(angle)
 
 
 def locate(shape: AerofoilShape, p: Array) -> tuple[NDArray[np.str_], Array, Array, Array, Array]:

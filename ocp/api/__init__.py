@@ -14,37 +14,31 @@ from robots.errors import BadInput, Infeasible
 
 if TYPE_CHECKING:
     from ocp.blindtest.interface import BlindtestResult, blindtest
-    from ocp.calibrate.files import CalibrationResult
-    from ocp.calibrate.interface import calibrate
+    from ocp.calibrate.interface import CalibrationResult, calibrate
     from ocp.cell.interface import CellResult, check_cell, new_cell, show_cell
     from ocp.diagnose.answering import DiagnosisResult
     from ocp.diagnose.interface import diagnose, judge_measurement
     from ocp.plan.files import PlanResult
     from ocp.plan.interface import plan
     from ocp.plan.night import NightResult, plan_night
-    from ocp.poses.files import PosesResult
-    from ocp.poses.interface import choose_poses
+    from ocp.poses.interface import PosesResult, choose_poses
     from ocp.robot.interface import RobotResult, import_robot, new_robot
     from ocp.simulate.interface import SimulationResult, simulate
-    from ocp.update.files import UpdateResult
-    from ocp.update.interface import update
+    from ocp.update.interface import UpdateResult, update
 
 _PLACES = {
     "ocp.blindtest.interface": ("BlindtestResult", "blindtest"),
-    "ocp.calibrate.files": ("CalibrationResult",),
-    "ocp.calibrate.interface": ("calibrate",),
+    "ocp.calibrate.interface": ("CalibrationResult", "calibrate"),
     "ocp.cell.interface": ("CellResult", "check_cell", "new_cell", "show_cell"),
     "ocp.diagnose.answering": ("DiagnosisResult",),
     "ocp.diagnose.interface": ("diagnose", "judge_measurement"),
     "ocp.plan.files": ("PlanResult",),
     "ocp.plan.interface": ("plan",),
     "ocp.plan.night": ("NightResult", "plan_night"),
-    "ocp.poses.files": ("PosesResult",),
-    "ocp.poses.interface": ("choose_poses",),
+    "ocp.poses.interface": ("PosesResult", "choose_poses"),
     "ocp.robot.interface": ("RobotResult", "import_robot", "new_robot"),
     "ocp.simulate.interface": ("SimulationResult", "simulate"),
-    "ocp.update.files": ("UpdateResult",),
-    "ocp.update.interface": ("update",),
+    "ocp.update.interface": ("UpdateResult", "update"),
 }
 _PLACE = {name: place for place, names in _PLACES.items() for name in names}
 

@@ -1,4 +1,4 @@
-"""The calibration as a function: readings in, a fitted and judged arm out. Writing it is `ocp.calibrate.files`."""
+"""The calibration as a function: readings in, a fitted and judged arm out. Writing it is `ocp.calibrate.interface`."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from ocp.calibrate.files import tracker_calibration
+from ocp.calibrate.interface import tracker_calibration
 from ocp.calibrate.tracker import TrackerCalibration, calibrate_tracker
 from ocp.experiments.grinding import (
     Course,

@@ -11,9 +11,8 @@ import numpy as np
 from ocp.data import CELL
 from ocp.effects.patch import PATCH
 from ocp.model.cell import Cell
-from ocp.simulate.twin.kinds import EFFECT_KINDS, EffectKind
 from ocp.simulate.twin.plan_knowledge import cell_of_plan, file_hash, recorded_input, with_hash
-from ocp.simulate.twin.planting import Planted, draw_effect, parse_effect
+from ocp.simulate.twin.planting import EFFECT_KINDS, EffectKind, Planted, draw_effect, parse_effect
 from ocp.simulate.twin.run import CampaignPlan
 from robots.errors import BadInput, shown
 

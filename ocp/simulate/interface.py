@@ -40,12 +40,10 @@ from ocp.simulate.report import (
 from ocp.simulate.twin.arm import make_arm
 from ocp.simulate.twin.controller import MissedParts, Track, drive, missed_parts
 from ocp.simulate.twin.dataset import copy_cell, joint_log, write_force, write_joint_log, write_labels, write_removal
-from ocp.simulate.twin.ground_depth import INSTRUMENT, GroundDepth, ground_depth, measured_depth
-from ocp.simulate.twin.kinds import EFFECT_KINDS
 from ocp.simulate.twin.krl_text import KrlProgram, read_program
 from ocp.simulate.twin.plan_knowledge import GRINDING, match, read_plan_table, read_summary, refuse_other_times, refuse_stranger
-from ocp.simulate.twin.planting import Planted
-from ocp.simulate.twin.rehearsal import Rehearsal, rehearse, statistics
+from ocp.simulate.twin.planting import EFFECT_KINDS, Planted
+from ocp.simulate.twin.rehearsal import INSTRUMENT, GroundDepth, Rehearsal, ground_depth, measured_depth, rehearse, statistics
 from ocp.simulate.twin.run import GrindingCampaign, VirtualMachine, arm_conditions, make_machine, refuse_crash, run_campaign
 from ocp.simulate.twin.tracker import TrackerLog, tracker_log, write_tracker, write_tracker_truth
 from ocp.simulate.twin.truth import Truth, draw_truth

@@ -18,9 +18,8 @@ from ocp.report.report import Report
 from ocp.report.section import Headline, Section
 from ocp.report.style import CURVE, RULE, SIDE_COLOURS, SOFT, TARGET
 from ocp.simulate.twin.controller import MissedParts
-from ocp.simulate.twin.ground_depth import GroundDepth
 from ocp.simulate.twin.plan_knowledge import Matched
-from ocp.simulate.twin.rehearsal import PARTS, WITHIN, Rehearsal
+from ocp.simulate.twin.rehearsal import PARTS, WITHIN, GroundDepth, Rehearsal
 from ocp.simulate.twin.touching import TouchFigures, Touching, touch_figures
 from robots.pose import Array
 from trajectories.blade import Blade

@@ -8,14 +8,15 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ocp.calibrate.force.log import Flags
 from ocp.calibrate.force.rows import measured_blade
 from ocp.model.cell import Cell
 from robots.csv_table import read_csv_table
 from robots.errors import BadInput, Infeasible
-from robots.pose import Array
-from trajectories.path_points import OFF_SURFACE, locate, place_on_mesh
+from robots.pose import Array, Stacked
+from trajectories.path_points import feet_on_blade
 
 PLACES, DEPTH = ("px_mm", "py_mm", "pz_mm"), ("removal_um", "sd_um")
 UNIT = 1e-12  # 1/Pa: one um mm^2 / (N m)
@@ -30,24 +31,14 @@ NEW_BELT = 0.5  # of the coefficient, one sigma, after another belt was put on
 
 
 @dataclass(frozen=True)
-class MeasuredDepths:
+class MeasuredDepths(Stacked):
     """n depths measured on a blade: p (n, 3) m blade frame, depth (n,) m, sd (n,) m; line (n,) in the file."""
 
     path: Path
     p: Array
     depth: Array
     sd: Array
-    line: tuple[int, ...]
-
-    def take(self, rows: Flags) -> "MeasuredDepths":
-        """The depths of a mask (n,)."""
-        return MeasuredDepths(
-            self.path,
-            self.p[rows],
-            self.depth[rows],
-            self.sd[rows],
-            tuple(line for line, kept in zip(self.line, rows, strict=True) if kept),
-        )
+    line: NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -78,23 +69,15 @@ def read_removal(path: str | Path) -> MeasuredDepths:
     assert sd is not None
     if (bad := depth < -GROWN * sd).any():
         raise table.refuse(int(np.argmax(bad)), "removal_um", "is negative by more than its error; depths taken off are positive")
-    return MeasuredDepths(table.path, 1e-3 * table.stack(PLACES), depth, sd, tuple(table.line))
+    return MeasuredDepths(table.path, 1e-3 * table.stack(PLACES), depth, sd, np.array(table.line))
 
 
 def on_blade(cell: Cell, removal: MeasuredDepths) -> tuple[Array, Array]:
     """Feet and outward normals (n, 3) of the points on the blade. Raises BadInput: one is off the surface."""
     assert cell.workpiece.stl is not None
     blade, shape, _ = measured_blade(cell.workpiece.stl, cell.workpiece)
-    name, _, _, foot, normal = locate(shape, removal.p)
-    place_on_mesh(blade, name, foot, normal, removal.p)
-    gap = np.linalg.norm(foot - removal.p, axis=1)
-    if (gap > OFF_SURFACE).any():
-        k = int(np.argmax(gap > OFF_SURFACE))
-        raise BadInput(
-            f"{removal.path}, line {removal.line[k]}, columns px_mm, py_mm, pz_mm: the point is {1e3 * gap[k]:.3f} mm off the "
-            f"surface of {blade.name}, the limit is {1e3 * OFF_SURFACE:g} mm; give points of this blade in its own frame"
-        )
-    return foot, normal
+    where = f"{removal.path}, line {{}}, columns px_mm, py_mm, pz_mm"
+    return feet_on_blade(blade, shape, removal.p, lambda k: where.format(removal.line[k]))[3:5]
 
 
 def preston_from(removal: MeasuredDepths, h: Array) -> Preston:

@@ -10,7 +10,7 @@ from ocp.report.report import Report
 from ocp.report.section import Headline, Section
 from ocp.report.style import CURVE, SIDE_COLOURS, SOFT, TARGET
 from ocp.update.drift import SURPRISE, WALKS
-from ocp.update.files import Updated
+from ocp.update.interface import Updated
 from ocp.update.removal import DEPTH_MODEL, HOURLY, UNIT
 from robots.calibration.parameters import SYMBOLS
 from robots.calibration.reading_model import ARM_NAMES, PAYLOAD_NAMES

@@ -15,13 +15,13 @@ from scipy.special import expit, log_expit
 
 from ocp.blindtest import answers, figures, scoring
 from ocp.blindtest.answers import make_answer
+from ocp.blindtest.interface import answer_all, forget_answers, make_all, resume, score_all
 from ocp.blindtest.oracle import oracle
 from ocp.blindtest.oracle.oracle import detectabilities
 from ocp.blindtest.oracle.signatures import tracker_families
 from ocp.blindtest.oracle.tracker import TrackerView, point_covariance, scene_of, tracker_nuisance, tracker_view, tracker_whitener
 from ocp.blindtest.record import Standing
 from ocp.blindtest.report import blindtest_last_line, write_blindtest_report
-from ocp.blindtest.running import answer_all, forget_answers, make_all, resume, score_all
 from ocp.blindtest.scoring import score_path
 from ocp.blindtest.worlds import recipes
 from ocp.blindtest.worlds.machines import as_real_arms, draw_tracker_machine

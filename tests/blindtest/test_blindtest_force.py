@@ -6,12 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ocp.blindtest.interface import draw_effects
 from ocp.blindtest.oracle.force import ForceView, force_nuisance, force_view, noise_roots
 from ocp.blindtest.oracle.oracle import detectabilities, name_of
 from ocp.blindtest.oracle.signatures import force_families
-from ocp.blindtest.running import draw_effects
-from ocp.blindtest.worlds.bench import Bench
-from ocp.blindtest.worlds.lines import drawn_runs, rows_of_runs
+from ocp.blindtest.worlds.bench import Bench, drawn_runs, rows_of_runs
 from ocp.blindtest.worlds.machines import STORE, GrindingMachine, draw_grinding_machine
 from ocp.blindtest.worlds.outside_lists import ON_GRINDING
 from ocp.blindtest.worlds.recipes import Recipe, kind_of, pool_of, scaled, within_range

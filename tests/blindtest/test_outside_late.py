@@ -7,16 +7,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ocp.blindtest.interface import draw_effects
 from ocp.blindtest.oracle.oracle import detectabilities
 from ocp.blindtest.oracle.tracker import scene_of, tracker_view
-from ocp.blindtest.running import draw_effects
 from ocp.blindtest.worlds import outside_lists, recipes
 from ocp.blindtest.worlds.machines import arm_with_outside, draw_tracker_machine
 from ocp.blindtest.worlds.outside import moved_by
 from ocp.blindtest.worlds.outside_lists import LATE
 from ocp.blindtest.worlds.recipes import OUTSIDE, Recipe, pool_of, scaled, within_range
 from ocp.blindtest.worlds.sealing import write_cell
-from ocp.simulate.twin.kinds import ARM_KINDS as CATALOGUE
+from ocp.simulate.twin.planting import ARM_KINDS as CATALOGUE
 from ocp.simulate.twin.planting import Planted, draw_effect
 from robots.errors import BadInput
 

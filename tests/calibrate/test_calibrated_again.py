@@ -9,8 +9,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from ocp.calibrate.files import tracker_calibration
-from ocp.calibrate.interface import calibrate
+from ocp.calibrate.interface import calibrate, tracker_calibration
 from ocp.calibrate.tracker import calibrate_tracker
 from ocp.diagnose.answering import tracker_channel
 from ocp.diagnose.corrected import calibration_of

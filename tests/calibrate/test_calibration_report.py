@@ -13,8 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ocp.calibrate.files import _use
-from ocp.calibrate.interface import _calibrated
+from ocp.calibrate.interface import _calibrated, _use
 from ocp.calibrate.report.advice import advice, extrapolates_badly
 from ocp.calibrate.report.pages import calibration_headline, write_calibration_report
 from ocp.calibrate.report.parameters import tellable_parameters, term_verdict

@@ -350,7 +350,7 @@ def inward(rows):
     ("change", "message"),
     [
         (far, r"line 7, columns q1_deg to q6_deg: the axes bring the contact point .* mm (off the wheel|along)"),
-        (lifted, r"line 7, columns px_mm, py_mm, pz_mm: the point is 0\.\d+ mm off the surface of .*, the limit is 0.2 mm"),
+        (lifted, r"line 7, columns px_mm, py_mm, pz_mm: the point .* is 0\.\d+ mm off the surface of .*, the limit is 0.2 mm"),
         (inward, r"line 7, columns nx, ny, nz: the normal points into the blade"),
     ],
 )

@@ -10,8 +10,8 @@ import pytest
 
 from ocp.calibrate.force.log import ForceLog, read_force_log
 from ocp.calibrate.force.model import ForceModel
+from ocp.calibrate.force.noise import Whitener
 from ocp.calibrate.force.rows import ForceSetup, log_conditions, prepare_force
-from ocp.calibrate.force.whitener import Whitener
 from ocp.diagnose.answering import _shown
 from ocp.diagnose.engine.channel_system import Fold
 from ocp.diagnose.engine.findings import Name, Options

@@ -11,8 +11,7 @@ import pytest
 from ocp.model.cell import read_cell
 from ocp.simulate.twin.arm import AxisState, arm_moments, gear_ratios, make_arm, motor_side
 from ocp.simulate.twin.dataset import delayed, joint_log
-from ocp.simulate.twin.kinds import ARM_KINDS
-from ocp.simulate.twin.planting import parse_effect
+from ocp.simulate.twin.planting import ARM_KINDS, parse_effect
 from ocp.simulate.twin.truth import draw_truth
 from robots.calibration.reading_model import RowInputs, predict_points
 from robots.errors import BadInput, Infeasible

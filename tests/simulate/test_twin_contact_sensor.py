@@ -7,7 +7,7 @@ import pytest
 
 from ocp.simulate.twin.contact import ContactMoments, ContactResult
 from ocp.simulate.twin.contact.sensor import memory, read_sensor
-from ocp.simulate.twin.kinds import CONTACT_KINDS
+from ocp.simulate.twin.planting import CONTACT_KINDS
 from tests.support.twin_grinding import HERTZ_RATE, Bench, believed, moments, moving
 
 Array = np.ndarray

@@ -12,8 +12,7 @@ from ocp.model.cell import read_cell, wheel_frame
 from ocp.model.theta import registered
 from ocp.simulate.twin.arm import arm_moments, make_arm
 from ocp.simulate.twin.collide import true_wheel
-from ocp.simulate.twin.kinds import EFFECT_KINDS
-from ocp.simulate.twin.planting import Planted, draw_effect, labels, parse_effect
+from ocp.simulate.twin.planting import EFFECT_KINDS, Planted, draw_effect, labels, parse_effect
 from ocp.simulate.twin.rehearsal import programmed_wheel
 from ocp.simulate.twin.truth import draw_truth
 from robots.calibration.store import Calibration

@@ -9,8 +9,8 @@ import trimesh
 from ocp.simulate.twin.contact.flange_motion import MovedLane
 from ocp.simulate.twin.contact.grinder import ContactPatches
 from ocp.simulate.twin.controller import Track
-from ocp.simulate.twin.ground_depth import ground_depth
 from ocp.simulate.twin.plan_knowledge import AWAY, GRINDING, NEAR, Matched
+from ocp.simulate.twin.rehearsal import ground_depth
 from ocp.simulate.twin.touching import Touching, TouchWindows, in_balance, in_time, touch, touch_figures, touch_windows
 from tests.support.twin_grinding import FEED, HERTZ_RATE, Bench, believed, moments
 from trajectories.blade import Blade

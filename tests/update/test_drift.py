@@ -8,9 +8,8 @@ import pytest
 from ocp.calibrate.force.fit import BIAS, FIT_NAMES, force_prior
 from ocp.model.theta import registered
 from ocp.update.drift import SURPRISE, carried_on, changed_state, last_state
-from ocp.update.files import Updated
 from ocp.update.history import History, history_of
-from ocp.update.interface import updated
+from ocp.update.interface import Updated, updated
 from robots.errors import BadInput, Infeasible
 from tests.support.wearing_cell import NOISE, WearingCell, posterior, wearing_cell
 

@@ -16,7 +16,7 @@ from scipy.linalg import solve_triangular
 from ocp.blindtest.oracle import tracker
 from ocp.blindtest.oracle.tracker import FEW, GEAR_ORDERS, MOTOR_ORDERS, ExactWhitener, exact_whitener
 from ocp.blindtest.worlds import machines
-from ocp.blindtest.worlds.lines import RunRows
+from ocp.blindtest.worlds.bench import RunRows
 from ocp.blindtest.worlds.machines import GrindingMachine
 from ocp.blindtest.worlds.recipes import PLANTABLE
 from ocp.blindtest.worlds.sealing import log_noise

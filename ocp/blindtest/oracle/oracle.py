@@ -242,11 +242,8 @@ def estimated(library: White, y: Array, own: Name) -> tuple[Array, Array] | None
     if own not in library.names:
         return None
     k = library.names.index(own)
-    C, G = library.columns[k], library.grams[k]
-    b = np.einsum("nvi,n->vi", C, y)
-    inner = G + np.eye(C.shape[2]) / SIZES[-1] ** 2
-    a = np.linalg.solve(inner, b[..., None])[..., 0]
-    best = int(np.argmax(np.einsum("vi,vi->v", a, b) - np.linalg.slogdet(inner)[1]))
+    C, (a, taken) = library.columns[k], library.best(k, y)
+    best = int(np.argmax(taken - np.linalg.slogdet(library.grams[k] + np.eye(C.shape[2]))[1]))
     return a[best], C[:, best] @ a[best]
 
 

@@ -13,14 +13,13 @@ from functools import partial
 import numpy as np
 
 from ocp.blindtest.oracle.force import WAVES, ForceSlopes
-from ocp.blindtest.oracle.tracker import TrackerScene, cross_matrices
+from ocp.blindtest.oracle.tracker import TrackerScene
 from ocp.blindtest.worlds.machines import GrindingMachine, TrackerMachine
 from ocp.blindtest.worlds.recipes import is_wave, kind_of, upper_end
 from ocp.simulate.twin.arm import gear_ratios
 from ocp.simulate.twin.contact.wheel_and_blade import SPLICE_SHARE, belt_travel
-from ocp.simulate.twin.kinds import BENDING
-from ocp.simulate.twin.planting import Planted, Value
-from robots.pose import Array
+from ocp.simulate.twin.planting import BENDING, Planted, Value
+from robots.pose import Array, skew
 from robots.robot import Robot
 from robots.tracker_readings import Index
 
@@ -150,7 +149,7 @@ def _of_places(scene: TrackerScene) -> Iterator[ExactFamily]:
     later = [(time >= t)[:, None, None] for t in time[1:]]
     yield _family("base_tilt", _steps(tilt, later), repeat=3)
     hours = time[:, None, None] / 3600.0
-    drift = hours * np.concatenate([np.broadcast_to(np.eye(3), (n, 3, 3)), -cross_matrices(scene.point)], axis=2)
+    drift = hours * np.concatenate([np.broadcast_to(np.eye(3), (n, 3, 3)), -skew(scene.point)], axis=2)
     yield _family("tracker_drift", drift[:, :, None], keys=2, repeat=3)
     yield _family("tracker_scale", scene.point[:, :, None, None])
     yield _family("air_scale", (scene.point * scene.warmth[:, None])[:, :, None, None])

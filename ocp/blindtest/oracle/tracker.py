@@ -17,7 +17,7 @@ from ocp.simulate.twin.machine import GRAVITY
 from ocp.simulate.twin.planting import Planted
 from ocp.simulate.twin.tracker import TrackerCampaign, instrument_noise, nest_links
 from ocp.simulate.twin.truth import MASS_SD, PLACEMENT, REPEATABILITY, STIFFNESS, Truth
-from robots.pose import Array, apply
+from robots.pose import Array, apply, skew
 
 FREE = 1.0  # m, rad: the tracker's place is not known at all
 # Instants that can be told apart, orders, nests: how many members of a scanned family are looked at.
@@ -187,7 +187,7 @@ def tracker_nuisance(scene: TrackerScene) -> tuple[Array, Array]:
     """Derivatives (n, 3, p) of the points and one sigma (p,) of what a machine is drawn with: the tracker's place, the placement
     of every link, nests, springs, masses; where weights are as real ones are, their centres and payloads; play."""
     n = len(scene)
-    frame = np.concatenate([np.broadcast_to(np.eye(3), (n, 3, 3)), -cross_matrices(scene.point)], axis=2)
+    frame = np.concatenate([np.broadcast_to(np.eye(3), (n, 3, 3)), -skew(scene.point)], axis=2)
     parts = [(frame, [FREE] * 6)]
     for link in range(1, 7):
         R = scene.links[:, link, :3, :3]
@@ -240,13 +240,6 @@ def weight_compliance(truth: Truth) -> Array:
     """rad/(N m) (6,) of the joints that weight bends."""
     k = truth.stiffness
     return np.asarray(np.divide(1.0, k, out=np.zeros(6), where=k > 0) * truth.bends)
-
-
-def cross_matrices(v: Array) -> Array:
-    """Matrices (n, 3, 3) of the cross products v x."""
-    x, y, z = v[:, 0], v[:, 1], v[:, 2]
-    zero = np.zeros(len(v))
-    return np.stack([np.stack([zero, -z, y], 1), np.stack([z, zero, -x], 1), np.stack([-y, x, zero], 1)], axis=1)
 
 
 def variants(effect: str, scene: TrackerScene) -> int:

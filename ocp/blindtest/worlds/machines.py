@@ -12,8 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ocp.blindtest.worlds.bench import Bench, Log, save_store, store_of
-from ocp.blindtest.worlds.lines import RunRows, blade_lines, drawn_runs, rows_of_runs, taught
+from ocp.blindtest.worlds.bench import Bench, Log, RunRows, blade_lines, drawn_runs, rows_of_runs, save_store, store_of, taught
 from ocp.blindtest.worlds.outside import OutsideArm
 from ocp.blindtest.worlds.recipes import OUTSIDE, Recipe, of_arm
 from ocp.model.cell import Cell, read_cell

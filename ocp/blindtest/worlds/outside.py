@@ -23,9 +23,8 @@ from scipy.spatial.transform import Rotation
 
 from ocp.model.cell import Cell
 from ocp.simulate.twin.arm import Moments, VirtualArm, hung, link_weights
-from ocp.simulate.twin.kinds import EffectKind, Key
 from ocp.simulate.twin.machine import GRAVITY
-from ocp.simulate.twin.planting import Planted
+from ocp.simulate.twin.planting import EffectKind, Key, Planted
 from ocp.simulate.twin.tracker import nest_links
 from robots.pose import Array, apply, invert
 from robots.robot import Robot

@@ -9,8 +9,7 @@ import numpy as np
 
 from ocp.blindtest.worlds.outside import ArmInstants, GrindingInstants, Outside, by_name, joint_index, outside, size
 from ocp.simulate.twin.arm import gear_ratios
-from ocp.simulate.twin.kinds import LATE_STEP, PHASE, Key
-from ocp.simulate.twin.planting import Planted
+from ocp.simulate.twin.planting import LATE_STEP, PHASE, Key, Planted
 from robots.pose import Array
 
 SETTLING, CREEP = 60.0, 1800.0  # s: time constants of settling after a stop and of creep under load

@@ -9,8 +9,7 @@ import numpy as np
 
 from ocp.blindtest.worlds.outside import Outside
 from ocp.blindtest.worlds.outside_lists import LATE, ON_ARM, ON_GRINDING
-from ocp.simulate.twin.kinds import ARM_KINDS, CONTACT_KINDS, EFFECT_KINDS, EffectKind, Key
-from ocp.simulate.twin.planting import Planted, Value
+from ocp.simulate.twin.planting import ARM_KINDS, CONTACT_KINDS, EFFECT_KINDS, EffectKind, Key, Planted, Value
 from robots.errors import BadInput
 
 # Kind of world: how many of it in a round.

@@ -24,11 +24,11 @@ from ocp.model.cell import Cell, Wheel
 from ocp.model.force_balance import N_WAYPOINT
 from ocp.model.theta import believed_theta
 from ocp.shell.cache import Entry, content_key, recall, remember
-from robots.errors import BadInput, Infeasible
+from robots.errors import Infeasible
 from robots.pose import Array
 from trajectories.blade import AerofoilShape, Blade
 from trajectories.blade.spline import curvature_in_frame
-from trajectories.path_points import NORMAL_LIMIT, OFF_SURFACE, facet_curvature, locate, place_on_mesh
+from trajectories.path_points import angles_to_surface, facet_curvature, feet_on_blade
 
 # A log's own points and normals are kept where they are as true as a surface fitted to facets is.
 TRUSTED_GAP = 20e-6  # m
@@ -49,14 +49,15 @@ class SurfacePoints:
 def points_on_surface(blade: Blade, shape: AerofoilShape, log: ForceLog) -> SurfacePoints:
     """Feet of the rows in contact; rows in the air keep their own frames and have no curvature.
 
-    Raises BadInput for points farther than OFF_SURFACE from the blade and for normals that are not its outward ones.
+    Raises BadInput as `feet_on_blade` and `angles_to_surface`: points off the blade, normals that are not its outward ones.
     """
     touching = np.flatnonzero(log.contact).astype(np.int64)
-    name, u, v, foot, normal = locate(shape, log.p[touching])
-    place_on_mesh(blade, name, foot, normal, log.p[touching])
-    gap = np.linalg.norm(foot - log.p[touching], axis=1)
-    angle = np.arccos(np.clip(np.sum(normal * log.n[touching], axis=1), -1.0, 1.0))
-    _refuse(log, blade, touching, gap, angle)
+
+    def row(k: int) -> str:
+        return f"{log.path}, line {log.row[touching[k]]}, columns"
+
+    name, u, v, foot, normal, gap = feet_on_blade(blade, shape, log.p[touching], lambda k: f"{row(k)} px_mm, py_mm, pz_mm")
+    angle = angles_to_surface(log.n[touching], normal, lambda k: f"{row(k)} nx, ny, nz")
     p, n, t = log.p.copy(), log.n.copy(), log.t.copy()
     moved, turned = gap > TRUSTED_GAP, angle > TRUSTED_ANGLE
     p[touching[moved]], n[touching[turned]] = foot[moved], normal[turned]
@@ -73,23 +74,6 @@ def points_on_surface(blade: Blade, shape: AerofoilShape, log: ForceLog) -> Surf
     if len(rest):
         curvature[rest] = facet_curvature(blade, p[rest], n[rest], t[rest], np.cross(n[rest], t[rest]))
     return SurfacePoints(p, n, t, curvature, _notices(log, gap, moved, angle, turned, len(rest)))
-
-
-def _refuse(log: ForceLog, blade: Blade, touching: NDArray[np.int64], gap: Array, angle: Array) -> None:
-    if (gap > OFF_SURFACE).any():
-        k = int(np.argmax(gap > OFF_SURFACE))
-        raise BadInput(
-            f"{log.path}, line {log.row[touching[k]]}, columns px_mm, py_mm, pz_mm: the point is {1e3 * gap[k]:.3f} mm off the "
-            f"surface of {blade.name}, the limit is {1e3 * OFF_SURFACE:g} mm ({int((gap > OFF_SURFACE).sum())} such rows); "
-            "give points of this blade in its own frame"
-        )
-    if (angle > NORMAL_LIMIT).any():
-        k = int(np.argmax(angle > NORMAL_LIMIT))
-        how = "into the blade" if angle[k] > np.pi / 2 else f"{np.degrees(angle[k]):.1f} deg off the surface's normal"
-        raise BadInput(
-            f"{log.path}, line {log.row[touching[k]]}, columns nx, ny, nz: the normal points {how}, the limit is "
-            f"{np.degrees(NORMAL_LIMIT):g} deg; give outward unit normals of this blade"
-        )
 
 
 def _notices(log: ForceLog, gap: Array, moved: Flags, angle: Array, turned: Flags, edge: int) -> tuple[str, ...]:

@@ -11,7 +11,7 @@ from ocp.model.cell import Cell
 from robots.column_mapping import ColumnMapping
 from robots.csv_table import OURS, CsvTable, read_csv_table
 from robots.errors import BadInput, shown
-from robots.pose import Array
+from robots.pose import Array, Stacked
 
 Index = NDArray[np.int64]
 Flags = NDArray[np.bool_]
@@ -57,7 +57,7 @@ SETTLING = 0.08  # s after that: three time constants and the delay of a flange 
 
 
 @dataclass(frozen=True)
-class ForceLog:
+class ForceLog(Stacked):
     """n rows in time order inside each run, SI and radians.
 
     run, session (n,): indices into `runs`, `sessions`; time (n,) s; q (n, 6) rad commanded; p (n, 3) m, n, t (n, 3) unit,
@@ -97,10 +97,6 @@ class ForceLog:
 
     def __len__(self) -> int:
         return len(self.q)
-
-    def take(self, rows: NDArray[np.generic]) -> "ForceLog":
-        """The rows of an index or mask; names keep their indices."""
-        return replace(self, **{name: value[rows] for name, value in vars(self).items() if isinstance(value, np.ndarray)})
 
 
 def read_force_log(path: str | Path, sealed: bool = False, mapping: ColumnMapping = OURS) -> ForceLog:

@@ -21,7 +21,7 @@ from ocp.model.force_balance import build_model
 from ocp.model.theta import NAMES, Theta
 from ocp.shell.native import ColumnFunction, compile_together
 from robots.kinematics import evaluate_rows
-from robots.pose import Array
+from robots.pose import Array, Stacked
 
 SETPOINT = NAMES.index("flange_setpoint_offset")
 STEPS = 15  # Newton steps in F; six do, and where effects turn the balance over no number does
@@ -42,7 +42,7 @@ Extra = Callable[[Index, Array, Array], Array]
 
 
 @dataclass(frozen=True)
-class ForceRows:
+class ForceRows(Stacked):
     """What the model needs of n logged rows: commanded joints q (n, 6) rad, waypoint (n, 16) as `force_balance.WAYPOINT` (of a
     cell with effects their conditions follow), setpoint (n,) N of the flange, belt (n,) -1, 0 or 1: sign of the belt's speed,
     contact (n,) False in the air."""
@@ -61,13 +61,9 @@ class ForceRows:
         """Rows one after the other."""
         return ForceRows(*(np.concatenate([vars(part)[f.name] for part in parts]) for f in fields(ForceRows)))
 
-    def take(self, rows: Any) -> "ForceRows":
-        """The rows of an index, slice or mask."""
-        return ForceRows(*(value[rows] for value in vars(self).values()))
-
 
 @dataclass(frozen=True)
-class PlacedRows:
+class PlacedRows(Stacked):
     """Rows with parameters theta (n, m) of their own; each row's own setpoint is in them, a shift of its joints in `base.q`."""
 
     base: ForceRows
@@ -81,10 +77,6 @@ class PlacedRows:
             # A row's own setpoint is the cell's plus a known offset: the model stays as it is.
             whole[:, SETPOINT] += base.setpoint - cell.flange.setpoint
         return PlacedRows(base if shift is None else replace(base, q=base.q + shift), whole)
-
-    def take(self, rows: Any) -> "PlacedRows":
-        """The rows of an index or mask."""
-        return PlacedRows(self.base.take(rows), self.theta[rows])
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +28,7 @@ from ocp.shell.cache import Entry, code_hash, content_key, flattened, rebuilt, r
 from ocp.shell.processes import cores, interrupts_held_back, nothing, workers
 from robots.errors import BadInput
 from robots.kinematics import forward
-from robots.pose import Array
+from robots.pose import Array, Stacked
 from trajectories.blade import AerofoilShape, Blade, find_shape, read_blade
 from trajectories.blade.fit import SideSurface
 from trajectories.blade.shape import SpanFrame
@@ -44,7 +43,7 @@ LEAST_FEED = 1e-3  # m/s; effects divide by the feed
 
 
 @dataclass(frozen=True)
-class LogConditions:
+class LogConditions(Stacked):
     """Of n rows: s m along the pass; travel sign of ds/dt; approach (n, 6) signs of the axes' motion, speed (n, 6) rad/s; feed
     m/s, belt m/s, setpoint N; clock s (contact time so far where the log has none); ground_before; warm, wheel_warm K above the
     cell's reference; run, line; time s in the run. What a log does not say is nan; given: the columns that it has."""
@@ -65,10 +64,6 @@ class LogConditions:
     wheel_warm: Array
     contact: Flags
     given: frozenset[str]
-
-    def take(self, rows: Any) -> "LogConditions":
-        """The rows of an index or mask."""
-        return replace(self, **{name: value[rows] for name, value in vars(self).items() if isinstance(value, np.ndarray)})
 
 
 def log_conditions(cell: Cell, log: ForceLog, used: float = 0.0) -> LogConditions:

@@ -9,8 +9,8 @@ import numpy as np
 
 from ocp.calibrate.force.fit import pressed_rows
 from ocp.calibrate.force.log import Flags, ForceLog
+from ocp.calibrate.force.noise import Whitener
 from ocp.calibrate.force.rows import ForceSetup, LogConditions, log_conditions, prepare_force
-from ocp.calibrate.force.whitener import Whitener
 from ocp.diagnose.engine.channel_system import (
     UNSEEN,
     Fold,

@@ -11,8 +11,7 @@ import numpy as np
 
 from ocp.calibrate.force.fit import RunOffsets
 from ocp.calibrate.force.log import ForceLog
-from ocp.calibrate.force.noise import channel_of
-from ocp.calibrate.force.whitener import Whitener
+from ocp.calibrate.force.noise import Whitener, channel_of
 from ocp.diagnose.engine.channel_system import effects_key
 from ocp.diagnose.force.prediction import (
     LogScene,

@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from ocp.calibrate.force.log import Flags, Index
-from ocp.calibrate.force.whitener import Whitener
+from ocp.calibrate.force.noise import Whitener
 from ocp.diagnose.engine.channel_system import Wave
 from ocp.diagnose.force.fit import EffectFit, ForceProblem
 from ocp.diagnose.force.prediction import effect_derivatives

@@ -15,9 +15,8 @@ from scipy.special import expit
 
 from ocp.calibrate.force.log import Flags, ForceLog, Index
 from ocp.calibrate.force.model import ForceRows
-from ocp.calibrate.force.noise import CorrelatedNoise, NoiseGroup, ReadingNoise, Runs
+from ocp.calibrate.force.noise import CorrelatedNoise, NoiseGroup, ReadingNoise, Runs, Whitener
 from ocp.calibrate.force.rows import log_conditions, prepare_force
-from ocp.calibrate.force.whitener import Whitener
 from ocp.diagnose.engine.channel_system import UNSEEN, System, Variants
 from ocp.diagnose.engine.evidence import Projection, project
 from ocp.diagnose.engine.findings import Diagnosis, Name, Options, Ranked

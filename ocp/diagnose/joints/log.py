@@ -4,12 +4,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robots.column_mapping import ColumnMapping
 from robots.csv_table import OURS, CsvTable, read_csv_table
 from robots.errors import BadInput
-from robots.pose import Array
+from robots.pose import Array, Stacked
 from robots.tracker_readings import Index
 
 AXES = tuple(f"q{i}_deg" for i in range(1, 7))
@@ -22,7 +21,7 @@ APART = np.radians(8.0)  # rad of wander between the two sides: more than any ge
 
 
 @dataclass(frozen=True)
-class JointLog:
+class JointLog(Stacked):
     """n rows in time order inside each run, radians.
 
     run (n,): index into `runs`; time (n,) s; q (n, 6) motor side through the gear; link (n, 6) link side, nan where not
@@ -47,10 +46,6 @@ class JointLog:
         """Joints (1..6) that have a link-side angle on enough rows and moved."""
         known = np.isfinite(self.link)
         return tuple(j + 1 for j in range(6) if known[:, j].sum() >= FEW and np.ptp(self.q[known[:, j], j]) > MOVED)
-
-    def take(self, rows: NDArray[np.generic]) -> "JointLog":
-        """The rows of an index or mask."""
-        return replace(self, **{name: value[rows] for name, value in vars(self).items() if isinstance(value, np.ndarray)})
 
 
 def read_joint_log(path: str | Path, mapping: ColumnMapping = OURS, sealed: bool = False) -> JointLog:

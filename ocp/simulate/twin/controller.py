@@ -152,12 +152,9 @@ def _timed_pieces(robot: Robot, first: DrivenMotion, where: Array | None, clock:
     """A timed block of axes or poses, and the way to where it begins, which only a program that is not planned may leave open."""
     assert first.times is not None
     targets, place = first.targets, (first.file, first.line)
-    if first.kind == "TIMED":
-        q = np.array([t.q for t in targets])
-        _within(robot, q, [(first.file, t.line) for t in targets])
-        curve, notice = rest_to_rest(first.times, q), ""
-    else:
-        curve, notice = timed_curve(robot, first, first.times, np.asarray(where)), bounds_of_path(first)
+    if of_axes := first.kind == "TIMED":
+        _within(robot, np.array([t.q for t in targets]), [(first.file, t.line) for t in targets])
+    curve, notice = _curve(robot, first, first.times, np.asarray(where)), "" if of_axes else bounds_of_path(first)
     begin, found = np.asarray(curve(0.0)), []
     if where is not None and (off := np.abs(begin - where).max()) >= STOOD:
         if planned:
@@ -165,8 +162,7 @@ def _timed_pieces(robot: Robot, first: DrivenMotion, where: Array | None, clock:
                 f"{first.file}, line {targets[0].line}: the block begins {np.degrees(off):.4f} deg off where the robot stands; "
                 "nobody planned that way, write the program anew"
             )
-        there = first.kind == "TIMED"
-        before = _point_to_point(robot, first, where, begin, clock) if there else _to_pose(robot, first, where, clock)
+        before = _point_to_point(robot, first, where, begin, clock) if of_axes else _to_pose(robot, first, where, clock)
         found = [] if before is None else [before]
         clock += sum(piece.duration for piece in found)
     rows = (first.times, np.array([t.line for t in targets]))

@@ -9,7 +9,7 @@ import hashlib
 import json
 import re
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from glob import escape
 from pathlib import Path
 from typing import Any
@@ -26,7 +26,7 @@ from ocp.simulate.twin.krl_text import DrivenMotion, KrlProgram
 from robots.bounds import MEGABYTE, read_whole
 from robots.csv_table import read_csv_table
 from robots.errors import BadInput, shown
-from robots.pose import Array, abc_from_rotation, invert
+from robots.pose import Array, Stacked, abc_from_rotation, invert
 
 AXES = tuple(f"q{i}_deg" for i in range(1, 7))
 CONTACT = ("px_mm", "py_mm", "pz_mm", "nx", "ny", "nz", "tx", "ty", "tz", "s_mm", "feed_mm_s", "fn_N", "interference_mm")
@@ -59,7 +59,7 @@ class PlanTable:
 
 
 @dataclass(frozen=True)
-class Matched:
+class Matched(Stacked):
     """The plan along a driven program, n samples: phase, line, number of the pass (-1 off contact); p, n, t (n, 3) in m and unit,
     s m, feed m/s, force N, interference m (nan off contact); whether it is the pass itself; setpoint N (nan: not told)."""
 
@@ -75,10 +75,6 @@ class Matched:
     interference: Array
     planned: NDArray[np.bool_]
     setpoint: Array
-
-    def take(self, rows: Index) -> "Matched":
-        """Some of the samples."""
-        return Matched(**{f.name: getattr(self, f.name)[rows] for f in fields(self)})
 
 
 def read_plan_table(folder: Path) -> PlanTable:

@@ -25,7 +25,7 @@ from ocp.simulate.twin.plan_knowledge import AWAY, GRINDING, Matched
 from ocp.simulate.twin.touching import Touching, carried_acceleration, touch, touch_windows
 from ocp.simulate.twin.truth import Truth
 from robots.errors import Infeasible
-from robots.pose import Array, make_transform
+from robots.pose import Array, Stacked, make_transform
 from trajectories.blade import Blade
 
 UNSAFE = 10.0  # times the process force, beyond which a run ends: nobody would let it go on
@@ -63,7 +63,7 @@ class GrindingConditions:
 
 
 @dataclass(frozen=True)
-class GroundPasses:
+class GroundPasses(Stacked):
     """n samples of the passes of a run, in time order: `index` into the track, q (n, 6) rad commanded, time s since the pass
     began, clock s, moments of the contact, the true force N, tangential N, overlap m, and the readings fn, ft N; touched: the
     passes from the air to the air, where a flange that moves in time has them."""
@@ -318,8 +318,7 @@ def decimated(grinding: GroundPasses, every: int) -> GroundPasses:
     """Every so many samples of each pass."""
     run = grinding.moments.run
     keep = np.concatenate([np.flatnonzero(run == k)[::every] for k in np.unique(run)])
-    arrays = {name: getattr(grinding, name)[keep] for name in ("index", "q", "fn", "ft")}
-    return replace(grinding, moments=grinding.moments.take(keep), result=grinding.result.take(keep), touched=None, **arrays)
+    return replace(grinding.take(keep), touched=None)
 
 
 def nearer(machine: VirtualMachine, track: Track, plan: Matched, share: float) -> Track:

@@ -4,19 +4,19 @@ Here: how hard blade and wheel press, and what the sensor shows. Not here: where
 holds what the contact is asked at n instants, and what it answers.
 """
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
-from robots.pose import Array
+from robots.pose import Array, Stacked
 
 Index = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
-class ContactMoments:
+class ContactMoments(Stacked):
     """n instants in time order inside each run, SI, stacks with the leading axis n.
 
     T_base_flange (n, 4, 4): true pose without contact; arm_compliance (n, 6, 6): twist of the flange (translation at the flange
@@ -47,10 +47,6 @@ class ContactMoments:
     wheel_temperature_C: Array
     temperature_C: Array
 
-    def take(self, rows: "Index | slice") -> "ContactMoments":
-        """Some of the instants."""
-        return ContactMoments(**{f.name: getattr(self, f.name)[rows] for f in fields(self)})
-
     def runs(self) -> list[slice]:
         """Stretches of one recording each."""
         cuts = np.flatnonzero(np.diff(self.run)) + 1
@@ -63,7 +59,7 @@ class ContactMoments:
 
 
 @dataclass(frozen=True)
-class ContactResult:
+class ContactResult(Stacked):
     """The contact as it is at n instants.
 
     force: normal force N; tangential: signed friction N along axis x outward wheel radial; overlap: of the undeformed bodies
@@ -76,7 +72,3 @@ class ContactResult:
     overlap: Array
     stroke: Array
     indentation: Array
-
-    def take(self, rows: "Index | slice") -> "ContactResult":
-        """Some of the instants."""
-        return ContactResult(**{f.name: getattr(self, f.name)[rows] for f in fields(self)})

@@ -21,7 +21,7 @@ from ocp.simulate.twin.contact import ContactMoments, ContactResult, Index
 from ocp.simulate.twin.contact import wheel_and_blade as bodies
 from ocp.simulate.twin.contact.flange_motion import GRAVITY, NODES, ClosingPath, MovingDevice
 from ocp.simulate.twin.contact.sensor import lagging, memory
-from ocp.simulate.twin.contact.surface import postures
+from ocp.simulate.twin.contact.surface import Postures, postures
 from ocp.simulate.twin.contact.table import (
     ABSENT,
     LEVELS,
@@ -326,11 +326,10 @@ class Grinder:
     def depth(self, c: ContactMoments) -> Array:
         """Overlap (n,) m of the undeformed bodies along the wheel's direction into the blade, stroke 0; below zero: apart, by
         FAR_APART where the place does not lie before the wheel."""
-        moved, wheel = lagging(self.truth, c), self.cell.wheel
-        radius = wheel.radius + bodies.radius_change(self.truth, self.cell, c)
-        T = bodies.blade_poses(self.truth, self.cell, moved)
-        at = postures(T, moved.p, moved.n, moved.t, *bodies.wheel_frames(self.truth, self.cell, moved), radius)
-        before = (at.depth < radius) & (np.abs(at.shape[:, 0]) < 0.5 * radius) & (np.abs(at.shape[:, 1]) < wheel.width)
+        moved = lagging(self.truth, c)
+        radius, at = self._met(moved, slice(None))[2:]
+        along, across = np.abs(at.shape[:, :2]).T
+        before = (at.depth < radius) & (along < 0.5 * radius) & (across < self.cell.wheel.width)
         return np.where(before, at.depth + bodies.surface_change(self.truth, moved), -FAR_APART)
 
     def in_reach(self, c: ContactMoments) -> ContactMoments:
@@ -341,15 +340,12 @@ class Grinder:
     def patches(self, c: ContactMoments) -> "ContactPatches":
         """Where and how wide the pressure lies at n instants, as `in_reach` gives them."""
         rows, moved = np.flatnonzero(c.contact), lagging(self.truth, c)
-        radius = self.cell.wheel.radius + bodies.radius_change(self.truth, self.cell, c)[rows]
-        centre, axis = (v[rows] for v in bodies.wheel_frames(self.truth, self.cell, moved))
-        T, p, n, t = bodies.blade_poses(self.truth, self.cell, moved)[rows], moved.p[rows], moved.n[rows], moved.t[rows]
-        at = postures(T, p, n, t, centre, axis, radius)
+        T, axis, _, at = self._met(moved, rows)
         share, index, place = contact_patches(self.tables, place_stations(c, rows, moved.s[rows], self.lines), at.shape)
         x, y = (np.einsum("kji,kj->ki", T[:, :3, :3], v) for v in (at.x, axis))
         origin, normal, along, across = (np.full((len(c.s), 3), np.nan) for _ in range(4))
-        normal[rows], along[rows], across[rows] = n, x, y
-        origin[rows] = p - place[:, :1] * x - place[:, 1:] * y
+        normal[rows], along[rows], across[rows] = moved.n[rows], x, y
+        origin[rows] = moved.p[rows] - place[:, :1] * x - place[:, 1:] * y
         planned = np.full((len(c.s), 2), np.nan)
         planned[rows] = place
         which, there, grid = np.full(len(c.s), -1), np.sum(share, axis=(1, 2)) > 0, self.tables.rubber.grid
@@ -388,6 +384,13 @@ class Grinder:
         solids = tuple((effect.number("g"), effect.number("tau")) for effect in self.truth.planted("wheel_relaxation"))
         return [self._path(columns, run, solids, still) for run in c.runs()]
 
+    def _met(self, c: ContactMoments, rows: Index | slice) -> tuple[Array, Array, Array, Postures]:
+        """T_base_blade (k, 4, 4), the wheel's axis (k, 3) and radius (k,) m, and the postures at rows of instants."""
+        T, radius = bodies.blade_poses(self.truth, self.cell, c)[rows], bodies.radius_change(self.truth, self.cell, c)[rows]
+        centre, axis = (v[rows] for v in bodies.wheel_frames(self.truth, self.cell, c))
+        radius = self.cell.wheel.radius + radius
+        return T, axis, radius, postures(T, c.p[rows], c.n[rows], c.t[rows], centre, axis, radius)
+
     def _path(
         self, columns: dict[str, Array], run: slice, solids: tuple[tuple[float, float], ...], still: ContactResult
     ) -> ClosingPath:
@@ -397,11 +400,8 @@ class Grinder:
     def _chain(self, c: ContactMoments, rows: Index, stations: SolvedStations, mu: Array) -> tuple[Chain, Array]:
         """The equation of every instant in contact, and the overlap of the undeformed bodies."""
         truth, cell = self.truth, self.cell
-        T = bodies.blade_poses(truth, cell, c)[rows]
-        centre, axis = bodies.wheel_frames(truth, cell, c)
-        radius = cell.wheel.radius + bodies.radius_change(truth, cell, c)[rows]
+        T, _, _, at = self._met(c, rows)
         p, n, t = c.p[rows], c.n[rows], c.t[rows]
-        at = postures(T, p, n, t, centre[rows], axis[rows], radius)
         indentation, crowding = depth_curves(self.tables, stations, at.shape)
         solid = self.tables.compliance(
             stations, lambda patch: bodies.solid_compliance(cell.workpiece, self.blade, stations, patch)
