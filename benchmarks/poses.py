@@ -18,8 +18,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ocp.data import CELL
-from ocp.poses.design import Design
-from ocp.poses.planning import PoseOptions, PosePlan, make_poses
+from ocp.poses.planning import Design, PoseOptions, PosePlan, make_poses
 from ocp.shell.progress import Phases
 from robots.calibration.fit import fit_campaign
 from robots.calibration.layout import Choice, State, nominal_state

@@ -33,6 +33,13 @@ def read_whole(path: Path, most: int, what: str) -> bytes:
         raise BadInput(f"{shown(path, 300)}: cannot be read ({reason}); give the path of {what}") from None
 
 
+def refuse_outside(*limits: tuple[str, float | None, float, float, str]) -> None:
+    """Raises BadInput: an option lies outside its least and most; each with its unit, None where it was not given."""
+    for option, value, low, high, unit in limits:
+        if value is not None and not low * (1 - 1e-12) <= value <= high * (1 + 1e-12):
+            raise BadInput(f"{option} {value:.10g} must lie between {low:.10g} and {high:.10g} {unit}".rstrip())
+
+
 def _between(least: float, most: float) -> Any:
     return Field(ge=least, le=most, allow_inf_nan=False, strict=True)
 

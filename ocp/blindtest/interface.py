@@ -19,7 +19,7 @@ from ocp.blindtest.record import Standing, entered, refuse_unrecorded
 from ocp.blindtest.report import blindtest_last_line, write_blindtest_report
 from ocp.blindtest.scoring import make_score, score_path
 from ocp.blindtest.worlds import sealing
-from ocp.blindtest.worlds.machines import effects_stream
+from ocp.blindtest.worlds.machines import EFFECTS, stream
 from ocp.blindtest.worlds.recipes import BINS, KINDS, SIGNALS, Recipe, check_kinds, pool_of, recipes, scaled, within_range
 from ocp.blindtest.worlds.sealing import CELL as CELL_FILE
 from ocp.blindtest.worlds.sealing import Check, Label, write_cell
@@ -31,6 +31,7 @@ from ocp.shell.output import MARKER, add_text_file, files_added, remove_written,
 from ocp.shell.processes import cores
 from ocp.shell.progress import Phases, Progress
 from ocp.simulate.twin.planting import EffectKind, Planted, draw_effect
+from robots.bounds import refuse_outside
 from robots.errors import BadInput, Infeasible
 from robots.pose import Array
 
@@ -75,10 +76,7 @@ def blindtest(
     folder = Path(out)
     if signals not in SIGNALS:
         raise BadInput(f"--signals '{signals}' is not one of {', '.join(SIGNALS)}")
-    limits = (("--worlds", worlds, 1, 20000), ("--readings", readings, 40, 2000), ("--jobs", jobs, 0, 64))
-    for name, value, low, high in limits:
-        if not low <= value <= high:
-            raise BadInput(f"{name} {value} must lie between {low} and {high}")
+    refuse_outside(("--worlds", worlds, 1, 20000, ""), ("--readings", readings, 40, 2000, ""), ("--jobs", jobs, 0, 64, ""))
     check = Check(folder, seed, worlds, check_kinds(",".join(kinds), signals), readings, signals=signals)
     refuse_unrecorded(check)
     with reserved(folder, overwrite, files_of(cell), grows=True) as output, output.grown():
@@ -86,6 +84,7 @@ def blindtest(
 
 
 def _judged(check: Check, cell: Path, again: bool, hands: Hands, phases: Phases) -> BlindtestResult:
+    """The steps of a check."""
     resume(check)
     if not check.cell.is_file():
         with files_added(check.folder, last=CELL_FILE) as part:
@@ -119,7 +118,7 @@ def draw_effects(seed: int, recipe: Recipe, view: ExactView, signals: str) -> Dr
     """Effects of a world of a `recipe` that plants some. Raises Infeasible: none reach the detectability within their usual
     range."""
     assert recipe.target is not None
-    rng, pool = effects_stream(seed, recipe), pool_of(recipe, signals)
+    rng, pool = stream(seed, recipe, EFFECTS), pool_of(recipe, signals)
     for attempt in range(TRIES):
         effects = [_one(rng, kind, view) for kind in _kinds(seed, recipe, rng, attempt, pool, signals)]
         if len({(p.effect, p.joint) for p in effects}) < len(effects):
@@ -211,8 +210,7 @@ def make_world(check: Check, recipe: Recipe) -> None:
 def make_all(check: Check, recipes: Sequence[Recipe], hands: Hands, phases: Phases) -> None:
     """Draw, write and seal every world; hashes of labels that were sealed before must not have changed."""
     step = _Step(make_world, partial(sealing.label_path, check), lambda _: _cell_files(check))
-    with phases.phase("worlds", len(recipes)) as advance:
-        _each(check, step, recipes, _missing(step, recipes), hands, advance)
+    _each("worlds", check, step, recipes, _missing(step, recipes), hands, phases)
     hashes = {r.name: sha256(sealing.label_path(check, r)) for r in recipes}
     before = sealing.read_seal(check)
     broken = [name for name, h in before.items() if hashes.get(name, h) != h]
@@ -225,8 +223,7 @@ def make_all(check: Check, recipes: Sequence[Recipe], hands: Hands, phases: Phas
 def answer_all(check: Check, recipes: Sequence[Recipe], hands: Hands, phases: Phases) -> None:
     """Answer every world that has no answer yet, where its folder stands and nothing else of the check."""
     step = _Step(make_answer, lambda r: check.answer(r.name), lambda r: [check.world(r.name)])
-    with phases.phase("answers", len(recipes)) as advance:
-        _each(check, step, recipes, _missing(step, recipes), hands, advance)
+    _each("answers", check, step, recipes, _missing(step, recipes), hands, phases)
 
 
 def score_all(check: Check, recipes: Sequence[Recipe], hands: Hands, phases: Phases) -> list[dict[str, Any]]:
@@ -245,8 +242,7 @@ def score_all(check: Check, recipes: Sequence[Recipe], hands: Hands, phases: Pha
 
     step = _Step(make_score, lambda r: score_path(check, r.name), reads)
     absent = _missing(step, recipes)
-    with phases.phase("scores", len(recipes)) as advance:
-        _each(check, step, recipes, [r for r in recipes if r in absent or stale(r)], hands, advance)
+    _each("scores", check, step, recipes, [r for r in recipes if r in absent or stale(r)], hands, phases)
     return [json.loads(step.result(r).read_text(encoding="utf-8")) for r in recipes]
 
 
@@ -265,21 +261,22 @@ def _missing(step: _Step, recipes: Sequence[Recipe]) -> list[Recipe]:
 
 
 def _each(
-    check: Check, step: _Step, recipes: Sequence[Recipe], todo: Sequence[Recipe], hands: Hands, advance: Callable[[], None]
+    name: str, check: Check, step: _Step, recipes: Sequence[Recipe], todo: Sequence[Recipe], hands: Hands, phases: Phases
 ) -> None:
     """Do a step of the worlds `todo`; the others' is done."""
-    for _ in range(len(recipes) - len(todo)):
-        advance()
 
     def below(path: Path) -> str:
         return path.relative_to(check.folder).as_posix()
 
-    tasks = ((_there, files_under(check.folder, *map(below, step.reads(r))), step.work, check, r) for r in todo)
-    for place, done in carried_out(errand, tasks, hands):
-        _, files = done.result()
-        with files_added(check.folder, last=below(step.result(todo[place]))) as part:
-            lay(files, part)
-        advance()
+    with phases.phase(name, len(recipes)) as advance:
+        for _ in range(len(recipes) - len(todo)):
+            advance()
+        tasks = ((_there, files_under(check.folder, *map(below, step.reads(r))), step.work, check, r) for r in todo)
+        for place, done in carried_out(errand, tasks, hands):
+            _, files = done.result()
+            with files_added(check.folder, last=below(step.result(todo[place]))) as part:
+                lay(files, part)
+            advance()
 
 
 def _there(folder: Path, work: Callable[[Check, Recipe], Any], check: Check, recipe: Recipe) -> None:

@@ -7,6 +7,7 @@ import typer
 
 from ocp.data import CELL
 from ocp.shell.command import command, command_line, main, shown_progress
+from robots.bounds import refuse_outside
 from robots.errors import BadInput
 
 app = command_line()
@@ -36,10 +37,8 @@ def _experiments(
 
     if mount not in (*MOUNTS, "both"):
         raise BadInput(f"--mount '{mount}' is not flange, rigid or both")
-    limits = ("robots", robots, 1, 10000), ("poses", poses, 20, 1000), ("seed", seed, 0, 2**31), ("jobs", jobs, 0, 64)
-    for name, value, least, most in limits:
-        if not least <= value <= most:
-            raise BadInput(f"--{name} {value} must lie between {least} and {most}")
+    refuse_outside(("--robots", robots, 1, 10000, ""), ("--poses", poses, 20, 1000, ""))
+    refuse_outside(("--seed", seed, 0, 2**31, ""), ("--jobs", jobs, 0, 64, ""))
     mounts = list(MOUNTS) if mount == "both" else [mount]
     seeds = list(range(seed, seed + robots))
     with reserved(out, overwrite, files_of(cell)) as output:

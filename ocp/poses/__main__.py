@@ -7,8 +7,7 @@ import numpy as np
 import typer
 
 from ocp.data import CELL
-from ocp.shell.command import answer, command, command_line, main, shown_progress
-from robots.errors import BadInput
+from ocp.shell.command import answer, command, command_line, main, numbers, shown_progress
 
 app = command_line()
 
@@ -38,24 +37,12 @@ def _poses(
     asked = dict(locals())  # as `interface.choose_poses` names them, but in the units of the command line
     from ocp.poses import interface
 
-    lists = {"payloads": payloads or (), "targets": targets or (), "tracker": _place(tracker)}
+    head = numbers("--tracker", tracker, "x,y,z in mm in the base frame, as 2500,2500,1500", 3)
+    lists = {"payloads": payloads or (), "targets": targets or (), "tracker": head and [1e-3 * v for v in head]}
     angles = {n: None if asked[n] is None else float(np.radians(asked[n])) for n in ("approach", "acceptance")}
     sizes = {"length_sd": 1e-3 * length_sd, "angle_sd": 1e-3 * angle_sd, "joint_noise": 1e-6 * joint_noise}
     with shown_progress() as progress:
         return answer(interface.choose_poses(**asked | lists | angles | sizes, progress=progress))
-
-
-def _place(text: str | None) -> list[float] | None:
-    """x,y,z in mm as three numbers in m."""
-    if text is None:
-        return None
-    try:
-        values = np.array([float(part) for part in text.split(",")])
-    except ValueError:
-        values = np.empty(0)
-    if values.shape != (3,):
-        raise BadInput(f"--tracker '{text}' must be x,y,z in mm in the base frame, as 2500,2500,1500")
-    return [1e-3 * float(v) for v in values]
 
 
 if __name__ == "__main__":

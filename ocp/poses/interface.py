@@ -17,12 +17,13 @@ import numpy as np
 from ocp.data import CELL
 from ocp.model.cell import files_of
 from ocp.poses.candidates import Sight
-from ocp.poses.planning import PoseOptions, PosePlan, make_poses
+from ocp.poses.planning import MOST_POSES, PoseOptions, PosePlan, make_poses
 from ocp.poses.program import base_name, measuring_program, write_and_check
 from ocp.poses.report import poses_report
 from ocp.shell.cache import sha256
 from ocp.shell.output import Output, reserved
 from ocp.shell.progress import Phases, Progress
+from robots.bounds import refuse_outside
 from robots.calibration.layout import Priors
 from robots.calibration.noise import Noise
 from robots.calibration.observability import CRITERIA, identifiable_basis, observability, posterior_sd, singular_values
@@ -97,7 +98,8 @@ def _refuse_options(options: PoseOptions) -> None:
     if options.criterion not in known:
         raise BadInput(f"--criterion '{options.criterion}' is not one of {', '.join(known)}")
     wait, number, turned = options.pausing.seconds, options.pausing.input, options.acceptance
-    _refuse_outside(
+    refuse_outside(
+        ("-n", options.count, 1, MOST_POSES, "poses"),
         ("--approach", float(np.degrees(options.approach)), 0.1, 20.0, "deg"),
         ("--speed", options.speed, 1, 100, "percent"),
         ("--wait", wait, 0.1, 3600.0, "s"),
@@ -110,13 +112,6 @@ def _refuse_options(options: PoseOptions) -> None:
     )
     if wait is not None and number is not None:
         raise BadInput("--wait and --input exclude each other; give one of them")
-
-
-def _refuse_outside(*limits: tuple[str, float | None, float, float, str]) -> None:
-    """Refuse an option whose value lies outside its least and most; each with its unit."""
-    for option, value, low, high, unit in limits:
-        if value is not None and not low * (1 - 1e-12) <= value <= high * (1 + 1e-12):
-            raise BadInput(f"{option} {value:g} must lie between {low:g} and {high:g} {unit}".rstrip())
 
 
 def _place(tracker: Sequence[float]) -> Array:

@@ -20,7 +20,7 @@ from rich.progress import Progress as Bars
 
 from ocp.shell.processes import INTERRUPTED, collect_seldom, supervised, was_told, what_stands
 from ocp.shell.progress import Progress
-from robots.errors import BadInput, Infeasible
+from robots.errors import BadInput, Infeasible, shown
 
 OK, NOT_SOLVED, BAD_INPUT = 0, 1, 2
 # What a written folder may have to look at.
@@ -126,6 +126,20 @@ def _phase_lines() -> Progress:
             print(f"{time.monotonic() - began:8.1f} s  {name}{steps}", file=sys.stderr)  # noqa: T201
 
     return show
+
+
+def numbers(
+    option: str, text: str | None, form: str = "numbers between commas, as 12,20,28", count: int | None = None
+) -> tuple[float, ...] | None:
+    """Numbers between commas, the text of an option; None without one. Raises BadInput: no numbers, or not `count`; it names the
+    form."""
+    try:
+        values = None if text is None else tuple(float(part) for part in text.split(","))
+    except ValueError:
+        values = ()
+    if values == () or (values is not None and count not in (None, len(values))):
+        raise BadInput(f"{option} '{shown(text)}' must be {form}")
+    return values
 
 
 def main(app: typer.Typer, name: str | None = None) -> None:

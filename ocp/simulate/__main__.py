@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from ocp.shell.command import answer, command, command_line, main, shown_progress
+from ocp.shell.command import answer, command, command_line, main, numbers, shown_progress
 
 app = command_line()
 
@@ -42,11 +42,11 @@ def _simulate(
     """Rehearse a plan on a virtual cell that shares no code with the planner, and write the data a real cell would give."""
     asked = {name: value for name, value in locals().items() if name != "list_effects"}  # as `interface.simulate` names them
     from ocp.simulate import interface
-    from ocp.simulate.input import numbers, setpoints
 
     if list_effects:
         return interface.plantable_effects()
-    asked |= {"effects": effects or (), "ladder": setpoints(ladder), "belts": () if belts is None else numbers("--belt", belts)}
+    levels = () if (ladder or "").strip().lower() == "none" else numbers("--ladder", ladder)
+    asked |= {"effects": effects or (), "ladder": levels, "belts": numbers("--belt", belts) or ()}
     with shown_progress() as progress:
         return answer(interface.simulate(**asked, progress=progress))
 

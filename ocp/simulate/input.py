@@ -14,6 +14,7 @@ from ocp.model.cell import Cell
 from ocp.simulate.twin.plan_knowledge import cell_of_plan, file_hash, recorded_input, with_hash
 from ocp.simulate.twin.planting import EFFECT_KINDS, EffectKind, Planted, draw_effect, parse_effect
 from ocp.simulate.twin.run import CampaignPlan
+from robots.bounds import refuse_outside
 from robots.errors import BadInput, shown
 
 MOST_EFFECTS = 6
@@ -57,10 +58,8 @@ def check_numbers(wanted: AskedRun) -> None:
     """Raises BadInput: what needs no file to be seen wrong."""
     if wanted.machine not in MACHINES:
         raise BadInput(f"--machine '{wanted.machine}' is not one of {', '.join(MACHINES)}")
-    limits = [("--seed", wanted.seed, 0, 2**32), ("--size", wanted.size, 0.0, 5.0), ("--hz", wanted.hz, 20.0, 2000.0)]
-    for name, value, low, high in (*limits, ("--clock", wanted.clock, 0.0, 1e7)):
-        if not low <= value <= high:
-            raise BadInput(f"{name} {value:g} must lie between {low:g} and {high:.10g}")
+    refuse_outside(("--seed", wanted.seed, 0, 2**32, ""), ("--size", wanted.size, 0.0, 5.0, ""))
+    refuse_outside(("--hz", wanted.hz, 20.0, 2000.0, "1/s"), ("--clock", wanted.clock, 0.0, 1e7, "s"))
     if wanted.machine != "drawn" and wanted.size != 1.0:
         raise BadInput(
             f"--size {wanted.size:g}: is of the errors of a drawn machine, --machine {wanted.machine} has none; leave it out"
@@ -170,35 +169,12 @@ def campaign_plan(wanted: AskedRun, cell: Cell) -> CampaignPlan:
     force, ladder = cell.process.force, wanted.ladder
     if ladder is None:
         ladder = tuple(round(force * share, 3) for share in (RIGID_LADDER if cell.flange is None else LADDER))
-    for level in ladder:
-        if not 0.1 * force <= level <= 3 * force:
-            raise BadInput(f"--ladder {level:g}: must lie between {0.1 * force:g} and {3 * force:g} N, about the process force")
-    if not 1.0 <= wanted.log_hz <= wanted.hz:
-        raise BadInput(f"--log-hz {wanted.log_hz:g}: must lie between 1 and the control rate of {wanted.hz:g}")
+    refuse_outside(*(("--ladder", level, 0.1 * force, 3 * force, "N, about the process force") for level in ladder))
+    refuse_outside(("--log-hz", wanted.log_hz, 1.0, wanted.hz, "1/s, the control rate"))
     if len(ladder) + len(wanted.belts) > MOST_LEVELS:
         raise BadInput(f"--ladder and --belt ask for {len(ladder) + len(wanted.belts)} campaigns, the limit is {MOST_LEVELS}")
-    for belt in wanted.belts:
-        if not abs(belt) <= 60.0:
-            raise BadInput(f"--belt {belt:g}: must lie between -60 and 60 m/s")
+    refuse_outside(*(("--belt", belt, -60.0, 60.0, "m/s") for belt in wanted.belts))
     return CampaignPlan(ladder, wanted.belts, wanted.air, wanted.log_hz, wanted.sealed, wanted.clock)
-
-
-def setpoints(text: str | None) -> tuple[float, ...] | None:
-    """What --ladder says: None for the usual ones, none of them for the word none. Raises BadInput."""
-    if text is None:
-        return None
-    return () if text.strip().lower() == "none" else numbers("--ladder", text)
-
-
-def numbers(name: str, text: str) -> tuple[float, ...]:
-    """Numbers between commas, the text of the option `name`. Raises BadInput."""
-    try:
-        values = tuple(float(part) for part in text.split(","))
-    except ValueError:
-        raise BadInput(f"{name} '{shown(text)}' must be numbers between commas, as 12,20,28") from None
-    if not np.isfinite(values).all():
-        raise BadInput(f"{name} '{shown(text)}' must be finite numbers between commas")
-    return values
 
 
 def in_words(planted: Sequence[Planted]) -> str:

@@ -42,8 +42,8 @@ TAILS, WARM_UP = 4.0, (2.0, 12.0)
 RIPPLE, PLAY, DRIFT, WEAR = 2e-6, 1e-6, 0.02, 3e-9
 WARMING = 4.0  # K by which the hall warms over HOURS in every other machine
 HOURS = 1.0
-# Streams of random numbers of one world.
-_MACHINE, _CAMPAIGN, _SEALED, _EFFECTS, _REAL = range(5)
+# Streams of random numbers of one world; EFFECTS: that the planted effects are drawn with.
+_MACHINE, _CAMPAIGN, _SEALED, EFFECTS, _REAL = range(5)
 _RUNS, _TAUGHT, _OWN, _NOISE = range(10, 14)
 
 
@@ -152,11 +152,6 @@ def arm_with_outside(cell: Cell, truth: Truth, targets: Sequence[str]) -> Virtua
 def stream(seed: int, recipe: Recipe, part: int) -> np.random.Generator:
     """Random numbers of a part of a world."""
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(recipe.index, part)))
-
-
-def effects_stream(seed: int, recipe: Recipe) -> np.random.Generator:
-    """Random numbers that the planted effects are drawn with."""
-    return stream(seed, recipe, _EFFECTS)
 
 
 def draw_tracker_machine(cell_path: Path, seed: int, recipe: Recipe, readings: int, blind: int) -> TrackerMachine:
