@@ -26,7 +26,7 @@ from ocp.experiments.grinding import (
 )
 from ocp.model.cell import Cell
 from ocp.plan.passes.optimise import FILES, SolvedPass
-from ocp.shell.cache import code_hash, content_key, flattened, keep, recall
+from ocp.shell.cache import code_hash, content_key, flattened, keep, rebuilt, recall
 from ocp.shell.executor import Hands, carried_out
 from ocp.shell.processes import nothing, workers
 from ocp.shell.progress import Phases
@@ -162,44 +162,21 @@ def run_trials(cell: Cell, mounts: Sequence[str], seeds: Sequence[int], poses: i
         for _ in done:
             advance()
 
-        def finish(trial: Trial) -> None:
-            done[trial.seed] = trial
-            keep("experiment", keys[trial.seed], {"trial": np.array(_as_json(trial))})
-            advance()
-
         hands = replace(hands, jobs=min(hands.jobs, len(missing)))
-        for _, future in carried_out(_trial_in_worker, [(s,) for s in missing], hands, _start_worker, state):
-            finish(future.result())
+        for _, future in carried_out(run_trial, [(seed,) for seed in missing], hands, state):
+            trial = future.result()
+            done[trial.seed] = trial
+            keep("experiment", keys[trial.seed], flattened(trial))
+            advance()
     return [done[seed] for seed in seeds]
-
-
-_state: tuple[dict[str, Course], dict[str, list[SolvedPass]], int, VirtualContact] | None = None
-
-
-def _start_worker(*state: Any) -> None:
-    global _state
-    _state = state
-
-
-def _trial_in_worker(seed: int) -> Trial:
-    assert _state is not None
-    return run_trial(*_state, seed)
-
-
-def _as_json(trial: Trial) -> str:
-    return json.dumps(asdict(trial), default=lambda value: np.asarray(value).tolist())
 
 
 def _recalled(key: str) -> Trial | None:
     entry = recall("experiment", key)
-    if entry is None:
-        return None
-    data = json.loads(str(entry["trial"]))
-    for part in ("positions", "force", "read"):
-        data[part] = {name: np.array(values) for name, values in data[part].items()}
-    return Trial(**data)
+    return None if entry is None else rebuilt(Trial, entry)
 
 
 def trials_json(trials: Sequence[Trial], options: dict[str, object]) -> str:
     """All numbers, for other programs."""
-    return json.dumps({"options": options, "robots": [json.loads(_as_json(t)) for t in trials]}, indent=1) + "\n"
+    known = {"options": options, "robots": [asdict(trial) for trial in trials]}
+    return json.dumps(known, indent=1, default=lambda value: np.asarray(value).tolist()) + "\n"

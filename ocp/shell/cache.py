@@ -14,8 +14,9 @@ import tempfile
 from collections.abc import Callable, Iterable
 from dataclasses import MISSING, fields, is_dataclass
 from functools import cache
+from itertools import repeat
 from pathlib import Path
-from typing import Any, TypeVar, get_args, get_type_hints
+from typing import Any, get_args, get_origin, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +26,6 @@ from robots.bounds import MEGABYTE, read_whole
 
 Part = NDArray[np.generic] | str | int | float | bool | None
 Entry = dict[str, NDArray[np.generic]]
-Kind = TypeVar("Kind")
 
 SUFFIX = ".kept"
 MOST_ENTRY = 1000 * MEGABYTE  # a plan's largest has some MB
@@ -230,19 +230,24 @@ def flattened(value: Any, prefix: str = "") -> Entry:
     return {name: array for key, item in parts for name, array in flattened(item, f"{prefix}.{key}").items()}
 
 
-def rebuilt(kind: type[Kind], entry: Entry, prefix: str = "") -> Kind:
-    """The dataclass `kind` of which `flattened` made `entry`: fields are dataclasses, arrays, numbers or text.
+def rebuilt(kind: Any, entry: Entry, prefix: str = "") -> Any:
+    """What `flattened` made `entry` of: a dataclass, or tuple, list or dictionary, of such, of arrays, numbers or text.
 
     Raises KeyError where a field without a default is missing.
     """
-    hints = get_type_hints(kind)
-    values: dict[str, Any] = {}
-    for f in fields(kind):  # type: ignore[arg-type]
-        name, hint = f"{prefix}.{f.name}", hints[f.name]
-        made = next((h for h in (hint, *get_args(hint)) if is_dataclass(h)), None)
-        if made is not None and (made is hint or any(key.startswith(f"{name}.") for key in entry)):
-            values[f.name] = rebuilt(made, entry, name)  # type: ignore[arg-type]
-        elif name in entry or (f.default is MISSING and f.default_factory is MISSING):
-            array = entry[name]
-            values[f.name] = hint(array.item()) if hint in (int, float, str, bool) else array
-    return kind(**values)
+    origin, of = get_origin(kind), get_args(kind)
+    if origin in (tuple, list, dict):
+        names = dict.fromkeys(key[len(prefix) + 1 :].split(".")[0] for key in entry if key.startswith(f"{prefix}."))
+        each = of if origin is tuple and Ellipsis not in of else repeat(of[origin is dict])
+        made = {name: rebuilt(one, entry, f"{prefix}.{name}") for name, one in zip(names, each, strict=False)}
+        return made if origin is dict else origin(made.values())
+    if is_dataclass(kind):
+        hints = get_type_hints(kind)
+        needed = {f.name for f in fields(kind) if f.default is MISSING and f.default_factory is MISSING}
+        there = {key[len(prefix) + 1 :].split(".")[0] for key in entry if key.startswith(f"{prefix}.")}
+        known = [f.name for f in fields(kind) if f.name in needed | there]
+        return kind(**{name: rebuilt(hints[name], entry, f"{prefix}.{name}") for name in known})  # type: ignore[operator]
+    either = next((one for one in of if is_dataclass(one)), None)
+    if either is not None:
+        return rebuilt(either, entry, prefix)
+    return kind(entry[prefix].item()) if kind in (int, float, str, bool) else entry[prefix]

@@ -13,14 +13,14 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import FIRST_COMPLETED, CancelledError, Executor, Future, wait
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import AbstractContextManager, ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
 from typing import Any, Protocol
 
 from ocp.shell.cache import code_hash
-from ocp.shell.processes import cores, interrupts_held_back, keep_to, nothing, workers
+from ocp.shell.processes import cores, hold, interrupts_held_back, keep_to, with_held, workers
 from robots.errors import BadInput, Infeasible
 
 RENEWED = 10  # tasks of a process, then a new one takes its place: a plan leaves 5 to 20 MB behind in its process
@@ -29,7 +29,6 @@ AHEAD = 2  # tasks a thread of the cluster that are on their way
 OTHER_VERSION = "{} runs another version of this software, or has none; install there what runs here, and start it again"
 Files = dict[str, bytes]
 """Contents of files by their names relative to a folder."""
-Start = Callable[..., None]
 
 
 @dataclass(frozen=True)
@@ -60,14 +59,9 @@ class _Crew(Protocol):
 
 
 def carried_out(
-    work: Callable[..., Any],
-    tasks: Iterable[tuple[Any, ...]],
-    hands: Hands,
-    start: Start = nothing,
-    state: tuple[Any, ...] = (),
-    apart: bool = False,
+    work: Callable[..., Any], tasks: Iterable[tuple[Any, ...]], hands: Hands, shared: tuple[Any, ...] = (), apart: bool = False
 ) -> Iterator[tuple[int, "Future[Any]"]]:
-    """`work(*task)` of every task: its place and its future, finished, as they end.
+    """`work(*shared, *task)` of every task: its place and its future, finished, as they end.
 
     Only as many tasks are taken as can be worked on, so that the inputs of a thousand need no more memory than those of ten. A
     process that the system ends takes its own task with it and no other; the task is tried once more, then its future raises
@@ -75,13 +69,13 @@ def carried_out(
 
     Args:
         work: a function of this software's, found by its name where the task is done.
-        tasks: its arguments.
+        tasks: its last arguments.
         hands: where it is done; one job is done in this process itself unless it is to be `apart`.
-        start, state: `start(*state)` is called once in every process before its first task.
+        shared: its first arguments, which travel once to every process.
 
     Raises BadInput: no scheduler answers there.
     """
-    with _crew(hands, start, state, apart) as crew:
+    with _crew(hands, shared, apart) as crew:
         waiting, again = iter(enumerate(tasks)), deque[tuple[int, tuple[Any, ...], int]]()
         flying: dict[Future[Any], tuple[int, tuple[Any, ...], int]] = {}
         while True:
@@ -108,10 +102,13 @@ def _given_up() -> "Future[Any]":
     return future
 
 
-def _crew(hands: Hands, start: Start, state: tuple[Any, ...], apart: bool) -> AbstractContextManager[_Crew]:
+def _crew(hands: Hands, shared: tuple[Any, ...], apart: bool) -> AbstractContextManager[_Crew]:
     if hands.scheduler is not None:
-        return _cluster(hands.scheduler, start, state)
-    return _processes(hands.jobs, start, state) if apart or hands.jobs > 1 else _here(start, state)
+        return _cluster(hands.scheduler, shared)
+    if not apart and hands.jobs <= 1:
+        return nullcontext(_Here(shared))
+    share = max(1, cores() // hands.jobs)
+    return _Processes(hands.jobs, lambda: workers(1, hold, *shared, share=share))
 
 
 class _Here:
@@ -119,25 +116,22 @@ class _Here:
 
     tries = 1
 
+    def __init__(self, shared: tuple[Any, ...]) -> None:
+        self._shared = shared
+
     def room(self, flying: int) -> bool:
         return flying == 0
 
     def submit(self, work: Callable[..., Any], task: tuple[Any, ...]) -> "Future[Any]":
         future: Future[Any] = Future()
         try:
-            future.set_result(work(*task))
+            future.set_result(work(*self._shared, *task))
         except Exception as error:
             future.set_exception(error)
         return future
 
     def done(self, _future: "Future[Any]") -> bool:
         return False
-
-
-@contextmanager
-def _here(start: Start, state: tuple[Any, ...]) -> Iterator[_Crew]:
-    start(*state)
-    yield _Here()
 
 
 class _Processes:
@@ -159,7 +153,7 @@ class _Processes:
             self._idle.append((stack, stack.enter_context(self._make()), 0))
         stack, pool, tasks = self._idle.pop()
         with interrupts_held_back():
-            future = pool.submit(work, *task)
+            future = pool.submit(with_held, work, *task)
         self.busy[future] = stack, pool, tasks + 1
         return future
 
@@ -180,21 +174,16 @@ class _Processes:
             stack.__exit__(*error)
 
 
-def _processes(jobs: int, start: Start, state: tuple[Any, ...]) -> AbstractContextManager[_Crew]:
-    share = max(1, cores() // jobs)
-    return _Processes(jobs, lambda: workers(1, start, *state, share=share))
-
-
 class _Cluster:
     """The workers of a Dask scheduler. What they need beside the task itself travels once to each; a task whose worker is lost is
     given to another one by the scheduler, thrice as it comes."""
 
     tries = 1
 
-    def __init__(self, client: Any, start: Start, state: tuple[Any, ...]) -> None:
+    def __init__(self, client: Any, shared: tuple[Any, ...]) -> None:
         self._client = client
         self._executor = client.get_executor(pure=False)
-        bundle = pickle.dumps((start, state))
+        bundle = pickle.dumps(shared)
         # As a task's result it comes into being anew where the worker that held it is lost.
         self._bundle = client.submit(bytes, bundle, pure=False)
         self._name, self._code = sha256(bundle).hexdigest(), code_hash()
@@ -219,7 +208,7 @@ class _Cluster:
 
 
 @contextmanager
-def _cluster(address: str, start: Start, state: tuple[Any, ...]) -> Iterator[_Crew]:
+def _cluster(address: str, shared: tuple[Any, ...]) -> Iterator[_Crew]:
     try:
         import dask
         from distributed import Client
@@ -236,7 +225,7 @@ def _cluster(address: str, start: Start, state: tuple[Any, ...]) -> Iterator[_Cr
                 f"--scheduler {address}: no Dask scheduler with a worker answers there within {CONNECT} s ({reason}); start dask "
                 "scheduler, and dask worker where this software is installed"
             ) from None
-        yield _Cluster(client, start, state)
+        yield _Cluster(client, shared)
 
 
 _one_at_a_time = threading.Lock()  # a worker of several threads: what this software keeps in a process is for one task
@@ -244,17 +233,16 @@ _started = ""
 
 
 def _on_worker(code: str, name: str, bundle: bytes, work: Callable[..., Any], task: tuple[Any, ...]) -> Any:
-    """A task on a Dask worker; `name` of the state that it needs, started only where another stood before."""
+    """A task on a Dask worker; `name` of what it shares with others, held there already but for the first."""
     global _started
     if code != code_hash():
         raise BadInput(OTHER_VERSION.format(f"the worker on {platform.node()}"))
     with _one_at_a_time:
         keep_to(1)
         if _started != name:
-            start, state = pickle.loads(bundle)
-            start(*state)
+            hold(*pickle.loads(bundle))
             _started = name
-        return work(*task)
+        return with_held(work, *task)
 
 
 def files_under(folder: Path, *names: str) -> Files:

@@ -386,22 +386,24 @@ def side_by_side(work: Callable[..., Any], tasks: Sequence[tuple[Any, ...]], *sh
     if _crew.get() is None or len(tasks) < 2:
         yield (work(*shared, *task) for task in tasks)
         return
-    with workers(cores(), _share, *shared) as pool:
+    with workers(cores(), hold, *shared) as pool:
         with interrupts_held_back():
-            futures = [pool.submit(_shared_work, work, *task) for task in tasks]
+            futures = [pool.submit(with_held, work, *task) for task in tasks]
         yield (future.result() for future in futures)
 
 
-_shared: tuple[Any, ...] = ()
+_held: tuple[Any, ...] = ()
 
 
-def _share(*shared: Any) -> None:
-    global _shared
-    _shared = shared
+def hold(*shared: Any) -> None:
+    """The `start` of workers whose tasks begin with the same arguments."""
+    global _held
+    _held = shared
 
 
-def _shared_work(work: Callable[..., Any], *task: Any) -> Any:
-    return work(*_shared, *task)
+def with_held(work: Callable[..., Any], *task: Any) -> Any:
+    """`work` of what this process holds and the task's own arguments."""
+    return work(*_held, *task)
 
 
 def _in_state(file: str, start: Callable[..., None], work: Callable[..., Any], *arguments: Any, **named: Any) -> Any:

@@ -14,15 +14,14 @@ from ocp.plan.night import plan_night
 from ocp.shell import executor
 from ocp.shell.executor import Hands, WorkerEnded, carried_out, errand, files_under
 from robots.errors import BadInput
-from tests.support.hand_work import added, called, doubled, give, killed, killed_once, waited
+from tests.support.hand_work import added, added_or_called, called, doubled, killed, killed_once, waited
 from tests.support.house import ROOT
 
 
 def test_one_job_works_in_this_process_and_two_in_others_with_what_they_were_given(every_core):
-    here = {place: f.result() for place, f in carried_out(added, [(k,) for k in range(3)], Hands(1), give, (10,))}
-    give(0)
+    here = {place: f.result() for place, f in carried_out(added, [(k,) for k in range(3)], Hands(1), (10,))}
     assert [here[k][0] for k in range(3)] == [10, 11, 12] and {one[2] for one in here.values()} == {os.getpid()}
-    apart = {place: f.result() for place, f in carried_out(added, [(k,) for k in range(5)], Hands(2), give, (10,))}
+    apart = {place: f.result() for place, f in carried_out(added, [(k,) for k in range(5)], Hands(2), (10,))}
     assert [apart[k][0] for k in range(5)] == [10, 11, 12, 13, 14]
     assert os.getpid() not in {one[2] for one in apart.values()} and {one[1] for one in apart.values()} == {os.cpu_count() // 2}
 
@@ -30,7 +29,7 @@ def test_one_job_works_in_this_process_and_two_in_others_with_what_they_were_giv
 def test_a_process_is_renewed_after_some_tasks(monkeypatch):
     """What a library leaves behind in one does not add up over a thousand tasks."""
     monkeypatch.setattr(executor, "RENEWED", 2)
-    done = {place: f.result() for place, f in carried_out(added, [(k,) for k in range(5)], Hands(1), give, (10,), apart=True)}
+    done = {place: f.result() for place, f in carried_out(added, [(k,) for k in range(5)], Hands(1), (10,), apart=True)}
     assert [done[k][0] for k in range(5)] == [10, 11, 12, 13, 14]
     pids = [done[k][2] for k in range(5)]
     assert pids[0] == pids[1] != pids[2] == pids[3] != pids[4] and os.getpid() not in pids
@@ -38,7 +37,7 @@ def test_a_process_is_renewed_after_some_tasks(monkeypatch):
 
 def test_no_more_tasks_are_taken_than_are_worked_on():
     taken = []
-    done = carried_out(added, ((taken.append(k) or k,) for k in range(100)), Hands(1))
+    done = carried_out(added, ((taken.append(k) or k,) for k in range(100)), Hands(1), (0,))
     for _ in range(3):
         next(done)
     assert len(taken) == 3
@@ -46,7 +45,7 @@ def test_no_more_tasks_are_taken_than_are_worked_on():
 
 def test_a_process_that_is_ended_takes_its_own_task_with_it_once(tmp_path):
     trace = str(tmp_path / "trace")
-    tasks = [(killed_once, trace), (killed,), *[(added, k, 0.05) for k in range(4)]]
+    tasks = [(killed_once, trace), (killed,), *[(added, 0, k, 0.05) for k in range(4)]]
     found = {place: f for place, f in carried_out(called, tasks, Hands(2))}
     assert found[0].result() == "done" and [found[k].result()[0] for k in range(2, 6)] == [0, 1, 2, 3]
     with pytest.raises(WorkerEnded, match="want of memory"):
@@ -89,9 +88,9 @@ def test_a_cluster_plans_blades_of_a_cell_whose_files_lie_elsewhere(cluster, tmp
 
 def test_a_cluster_that_loses_a_worker_does_every_task(cluster, tmp_path):
     trace = tmp_path / "trace"
-    tasks = [(waited, str(trace), 60.0), *[(added, k) for k in range(6)], (len, bytes(12_000_000))]
+    tasks = [(waited, str(trace), 60.0), *[(k,) for k in range(6)], (len, bytes(12_000_000))]
     found = {}
-    for place, future in carried_out(called, tasks, Hands(1, cluster), give, (10,)):
+    for place, future in carried_out(added_or_called, tasks, Hands(1, cluster), (10,)):
         found[place] = future.result()
         if len(found) == 1:
             while not trace.exists():
@@ -109,7 +108,7 @@ def test_a_cluster_that_loses_a_worker_does_every_task(cluster, tmp_path):
 
 def test_a_worker_of_another_version_does_no_task(cluster, monkeypatch):
     monkeypatch.setattr(executor, "code_hash", lambda: "another")
-    ((_, future),) = carried_out(added, [(1,)], Hands(1, cluster))
+    ((_, future),) = carried_out(added, [(0, 1)], Hands(1, cluster))
     with pytest.raises(BadInput, match=r"^the worker on .* runs another version of this software"):
         future.result()
 

@@ -10,16 +10,9 @@ from typing import Any
 from ocp.shell.processes import cores
 from robots.errors import BadInput
 
-given = 0
 
-
-def give(number: int) -> None:
-    global given
-    given = number
-
-
-def added(number: int, seconds: float = 0.0) -> tuple[int, int, int]:
-    """The number with what the process was given, its cores and its own number."""
+def added(given: int, number: int, seconds: float = 0.0) -> tuple[int, int, int]:
+    """The sum of what all tasks are given and a number of this one's; the process' cores and its own number."""
     time.sleep(seconds)
     return number + given, cores(), os.getpid()
 
@@ -56,3 +49,8 @@ def killed() -> None:
 
 def called(work: Callable[..., Any], *task: Any) -> Any:
     return work(*task)
+
+
+def added_or_called(given: int, *task: Any) -> Any:
+    """A number is added to what all tasks are given, anything else is called."""
+    return added(given, *task) if isinstance(task[0], int) else called(*task)

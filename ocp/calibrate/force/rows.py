@@ -6,7 +6,7 @@ Conditions are where along the pass a row stands, which way each axis moves, how
 
 import hashlib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 
@@ -30,8 +30,6 @@ from robots.errors import BadInput
 from robots.kinematics import forward
 from robots.pose import Array, Stacked
 from trajectories.blade import AerofoilShape, Blade, find_shape, read_blade
-from trajectories.blade.fit import SideSurface
-from trajectories.blade.shape import SpanFrame
 
 STILL = 1e-4  # rad/s; an axis slower than this stands
 # What a log may lack, as `ForceLog` names it.
@@ -213,34 +211,13 @@ def measured_blade(stl: Path, piece: Workpiece) -> Measured:
     def compute() -> Entry:
         blade = read_blade(stl, piece.stl_unit)
         shape = find_shape(blade, piece.aerofoil)
-        return flattened({"blade": blade, "shape": shape, "cloud": surface_cloud(shape, blade)})
+        return flattened((blade, shape, surface_cloud(shape, blade)))
 
     if key not in _LAST:
         entry = remember("measured-blade", content_key("measured blade 1", code_hash(), *key), compute)
         _LAST.clear()
-        _LAST[key] = _measured(entry)
+        _LAST[key] = rebuilt(Measured, entry)
     return _LAST[key]
-
-
-def _measured(entry: Entry) -> Measured:
-    """What `measured_blade` keeps, as it was."""
-
-    def each(name: str) -> list[str]:
-        return list(dict.fromkeys(key[len(name) :].split(".")[0] for key in entry if key.startswith(name)))
-
-    def texts(name: str) -> tuple[str, ...]:
-        return tuple(str(entry[name + k]) for k in each(name))
-
-    def at(name: str) -> Array:
-        return np.asarray(entry[f".shape.{name}"], float)
-
-    blade = replace(rebuilt(Blade, entry, ".blade"), notices=texts(".blade.notices."))
-    block = bool(entry[".shape.frame.block.0"]), bool(entry[".shape.frame.block.1"])
-    frame = SpanFrame(at("frame.c0"), at("frame.c1"), at("frame.n0"), at("frame.n1"), block)
-    sides = {name: rebuilt(SideSurface, entry, f".shape.sides.{name}") for name in each(".shape.sides.")}
-    told = texts(".shape.notices.")
-    shape = AerofoilShape(frame, at("v"), sides, at("v_edges"), at("leading"), at("trailing"), told)
-    return blade, shape, rebuilt(SurfaceCloud, entry, ".cloud")
 
 
 def _cuts(logs: Sequence[ForceLog]) -> NDArray[np.int64]:
