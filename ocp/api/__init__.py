@@ -50,32 +50,4 @@ def __getattr__(name: str) -> Any:
     return globals().setdefault(name, getattr(import_module(_PLACE[name]), name))
 
 
-__all__ = [
-    "BadInput",
-    "BlindtestResult",
-    "CalibrationResult",
-    "CellResult",
-    "DiagnosisResult",
-    "Infeasible",
-    "NightResult",
-    "PlanResult",
-    "PosesResult",
-    "Progress",
-    "RobotResult",
-    "SimulationResult",
-    "UpdateResult",
-    "blindtest",
-    "calibrate",
-    "check_cell",
-    "choose_poses",
-    "diagnose",
-    "import_robot",
-    "judge_measurement",
-    "new_cell",
-    "new_robot",
-    "plan",
-    "plan_night",
-    "show_cell",
-    "simulate",
-    "update",
-]
+__all__ = sorted([*_PLACE, "BadInput", "Infeasible", "Progress"])

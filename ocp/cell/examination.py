@@ -180,18 +180,13 @@ def _robot_findings(tables: CellTables, robot: Robot) -> Iterator[Finding]:
 def _unit_findings(tables: CellTables) -> Iterator[Finding]:
     """Numbers that look like metres, radians or newtons per metre, and what no check can tell from a sound number."""
     if tables.wheel is not None:
-        r = tables.wheel.radius_mm
+        r, place = tables.wheel.radius_mm, list(tables.wheel.centre_mm)
         yield Finding(KNOWN, "wheel.radius_mm", f"{r:g} is a wheel {2 * r:g} mm across with cover and belt: look whether it is")
-    places = {} if tables.wheel is None else {"wheel.centre_mm": tables.wheel.centre_mm}
-    for key, place in places.items():
-        size = max(map(abs, place))
-        if 0 < size < METRES:
-            yield Finding(DOUBT, key, f"{list(place)} lies inside the robot's foot: metres? millimetres are asked for")
-    turns = {} if tables.workpiece is None else {"workpiece.abc_deg": tables.workpiece.abc_deg}
-    for key, turn in turns.items():
-        quarters = np.array(turn) / (0.5 * np.pi)
-        if any(0.5 < abs(v) < 4.5 and abs(v - round(v)) < QUARTERS for v in quarters):
-            yield Finding(DOUBT, key, f"{list(turn)} looks like radians; degrees are asked for")
+        if 0 < max(map(abs, place)) < METRES:
+            yield Finding(DOUBT, "wheel.centre_mm", f"{place} lies inside the robot's foot: metres? millimetres are asked for")
+    turn = () if tables.workpiece is None else tables.workpiece.abc_deg
+    if any(0.5 < abs(v) < 4.5 and abs(v - round(v)) < QUARTERS for v in np.array(turn) / (0.5 * np.pi)):
+        yield Finding(DOUBT, "workpiece.abc_deg", f"{list(turn)} looks like radians; degrees are asked for")
     yield from _angle_findings(tables)
     springs = tables.robot.stiffness_Nm_per_rad or ()
     if any(0 < k < SPRING for k in springs):
@@ -219,9 +214,7 @@ def _unit_findings(tables: CellTables) -> Iterator[Finding]:
 def _angle_findings(tables: CellTables) -> Iterator[Finding]:
     """An arc or tolerances that are next to nothing in degrees and usual in radians."""
     angles: dict[str, tuple[float, ...]] = {} if tables.wheel is None else {"wheel.contact_arc_deg": tables.wheel.contact_arc_deg}
-    process = tables.process
-    given = {name: (getattr(process, name),) for name in ("turn_tolerance_deg", "tilt_tolerance_deg")}
-    angles |= {f"process.{name}": value for name, value in given.items()}
+    angles |= {f"process.{name}": (getattr(tables.process, name),) for name in ("turn_tolerance_deg", "tilt_tolerance_deg")}
     for key, values in angles.items():
         if 0 < max(map(abs, values)) < SMALL:
             yield Finding(DOUBT, key, f"{_plain(values)} is next to nothing: radians? degrees are asked for")

@@ -14,6 +14,7 @@ import numpy as np
 
 from ocp.effects.catalogue import key_range
 from ocp.model.cell import Cell, files_of, floor_notices, payloads_of, read_cell
+from ocp.report.report import Report
 from ocp.shell.output import Output, reserved
 from ocp.shell.progress import Phases, Progress
 from ocp.simulate.input import (
@@ -30,12 +31,13 @@ from ocp.simulate.input import (
     planted_effects,
 )
 from ocp.simulate.report import (
+    KIND,
     WholePasses,
     contact_figures,
     flange_in_words,
     missed_parts_figures,
     rehearsal_headline,
-    write_rehearsal_page,
+    rehearsal_sections,
 )
 from ocp.simulate.twin.arm import make_arm
 from ocp.simulate.twin.controller import MissedParts, Track, drive, missed_parts
@@ -172,11 +174,8 @@ def _track(wanted: AskedRun, cell: Cell) -> TrackerLog | None:
 
 def _campaign_notices(cell: Cell, log: TrackerLog | None) -> list[str]:
     """What could not be checked of a campaign's payloads. Raises BadInput: one is more than the robot carries."""
-    names: set[str] = set()
-    for campaign in () if log is None else (log.design, log.sealed):
-        if campaign is not None:
-            hung = campaign.moments.payload
-            names |= {hung} if isinstance(hung, str) else set(hung)
+    campaigns = () if log is None else (log.design, log.sealed)
+    names = {name for campaign in campaigns if campaign is not None for name in campaign.moments.payload}
     loads = {name: load for name, load in payloads_of(cell.tables).items() if name in names}
     return refuse_overload(str(cell.path), cell.robot, loads)
 
@@ -205,8 +204,9 @@ def _write(
     words = MACHINES[wanted.machine].format(seed=wanted.seed)
     words = words if wanted.sealed or not truth.effects else f"{words}, {in_words(truth.effects)}"
     title = f"{ground.program.main.stem} on {cell.name}"
-    shown = ground.rehearsal, ground.missed, ground.whole, ground.machine.blade
-    write_rehearsal_page(*shown, title, words, notices, out / "rehearsal.html")
+    headline = rehearsal_headline(ground.rehearsal, ground.whole, words)
+    sections = rehearsal_sections(ground.rehearsal, ground.missed, ground.whole, ground.machine.blade)
+    Report(KIND, title, headline, notices, sections).write_page(out / "rehearsal.html")
     (out / "rehearsal.json").write_text(json.dumps(_json(wanted, truth, ground), indent=1) + "\n", encoding="utf-8")
     return rows
 

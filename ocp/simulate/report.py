@@ -1,9 +1,7 @@
 """rehearsal.html: what force a program would make on the virtual cell, where it is worst, and what brings the errors; then passes
 from the air to the air: force at entry and exit, losses of contact, what is taken off."""
 
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,7 +12,6 @@ from ocp.model.cell import Cell
 from ocp.plan.report.surface import GroundPass, draw_blade, paint_blade
 from ocp.report.parts import Plot, Table, table
 from ocp.report.plotting import Canvas, dressed, keys, panels
-from ocp.report.report import Report
 from ocp.report.section import Headline, Section
 from ocp.report.style import CURVE, RULE, SIDE_COLOURS, SOFT, TARGET
 from ocp.simulate.twin.controller import MissedParts
@@ -93,23 +90,8 @@ def rehearsal_headline(rehearsal: Rehearsal, whole: WholePasses, machine: str) -
     return Headline(good, "As planned." if good else "Not as planned.", f"{sentence} {ends_in_words(whole)}")
 
 
-def write_rehearsal_page(
-    rehearsal: Rehearsal,
-    missed: MissedParts | None,
-    whole: WholePasses,
-    blade: Blade,
-    title: str,
-    machine: str,
-    notices: Sequence[str],
-    path: Path,
-) -> None:
-    """Write the page; equal rehearsals give equal bytes. Raises OSError where the file cannot be written."""
-    Report(
-        KIND, title, rehearsal_headline(rehearsal, whole, machine), notices, _sections(rehearsal, missed, whole, blade)
-    ).write_page(path)
-
-
-def _sections(rehearsal: Rehearsal, missed: MissedParts | None, whole: WholePasses, blade: Blade) -> tuple[Section, ...]:
+def rehearsal_sections(rehearsal: Rehearsal, missed: MissedParts | None, whole: WholePasses, blade: Blade) -> tuple[Section, ...]:
+    """Force, entries and exits, removal, where errors come from; equal rehearsals give equal bytes."""
     intro = (
         "The programs were read from their files and driven on a virtual cell that shares no code with the planner's model. The "
         "force shown is the true one between blade and wheel, not what the sensor reads."

@@ -32,7 +32,8 @@ class Hidden:
         """In words."""
         if not self.company:
             return "no reading depends on it enough; its value is the believed one"
-        return f"cannot be told from {_listed([described(n) for n in self.company])}; the believed values share it out"
+        company = list(dict.fromkeys(described(n) for n in self.company))
+        return f"cannot be told from {listed(company)}; the believed values share it out"
 
 
 @dataclass(frozen=True)
@@ -108,6 +109,6 @@ def described(name: str) -> str:
     return f"{name} ({SYMBOLS[name].meaning})"
 
 
-def _listed(texts: Sequence[str]) -> str:
-    unique = list(dict.fromkeys(texts))
-    return unique[0] if len(unique) == 1 else ", ".join(unique[:-1]) + " and " + unique[-1]
+def listed(words: Sequence[str]) -> str:
+    """'a', 'a and b', 'a, b and c'."""
+    return words[0] if len(words) == 1 else ", ".join(words[:-1]) + " and " + words[-1]

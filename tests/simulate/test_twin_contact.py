@@ -263,7 +263,7 @@ def test_the_solid_gives_as_a_cantilever(tmp_path):
     p = np.column_stack([np.zeros(3), np.full(3, 0.005), z])
     n, t = np.tile([0.0, 1, 0], (3, 1)), np.tile([0.0, 0, 1], (3, 1))
     none = np.zeros(3, int)
-    stations = SolvedStations(p, n, t, z, np.ones(3, int), none, none, np.zeros(3))
+    stations = SolvedStations(np.ones(3, int), z, p, n, t, none, none, np.zeros(3))
     got = solid_compliance(piece, Blade("box", "box", box.vertices, box.faces), stations, (0.003, 0.003))
     lever, inertia = z - 0.01, 0.01**4 / 12
     beam = lever**3 / (3 * material.youngs_modulus * inertia)

@@ -209,7 +209,7 @@ def tracker_nuisance(scene: TrackerScene) -> tuple[Array, Array]:
     return np.concatenate([block for block, _ in parts], axis=2), np.concatenate([sd for _, sd in parts])
 
 
-def weight_nuisance(cell: Cell, truth: Truth, links: Array, payload: str | tuple[str, ...]) -> tuple[Array, list[float]]:
+def weight_nuisance(cell: Cell, truth: Truth, links: Array, payload: tuple[str, ...]) -> tuple[Array, list[float]]:
     """Torques (n, 6, p) N m about the joints, along +q, of what may weigh otherwise in frames links (n, 7, 4, 4), and one sigma
     of each: masses of base and links, relative; where weights are as real ones are, links' centres and payloads, in sigmas."""
     n, robot, real = len(links), cell.robot, bool(truth.mass_shift.any())
@@ -228,7 +228,7 @@ def weight_nuisance(cell: Cell, truth: Truth, links: Array, payload: str | tuple
     if real:
         shift = LINK_CENTRE * links[:, :, None, :3, :3]
         columns += [turned(link, shift[:, link, :, :, k], mass[link]) for link in range(1, 7) for k in range(3)]
-        label = np.array((payload,) * n if isinstance(payload, str) else payload)
+        label = np.array(payload)
         for name, (kg, place) in truth.payloads.items():
             heavier = turned(6, from_axes(6, place), kg * PAYLOAD_MASS / np.sqrt(3.0))
             columns.append(heavier * (label == name)[:, None])

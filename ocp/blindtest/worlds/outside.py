@@ -150,8 +150,7 @@ class OutsideArm(VirtualArm):
     def _instants(self, m: Moments) -> ArmInstants:
         settled = self.settled(m)
         n = len(m)
-        names = (m.payload,) * n if isinstance(m.payload, str) else m.payload
-        loads = [hung(self.truth, name) for name in names]
+        loads = [hung(self.truth, name) for name in m.payload]
         nests = np.array([self.truth.nests[name] for name in self.targets]).reshape(-1, 3)
         on = settled.links[np.arange(n), nest_links(self.cell, self.targets)]
         return ArmInstants(

@@ -308,11 +308,8 @@ def _check_force(table: CsvTable, fn: Array, contact: Flags, run: Index) -> None
         raise table.refuse(k, "fn_N", "is negative as most of the log is; the force that presses wheel and blade is positive")
     recordings = [fn[contact & (run == i)] for i in np.unique(run[contact])]
     if sum(len(one) - 1 for one in recordings) > STILL and all(np.ptp(one) == 0 for one in recordings):
-        raise table.refuse(
-            int(np.argmax(contact)),
-            "fn_N",
-            "stays the same through every recording, as a setpoint does; give what the sensor read",
-        )
+        why = "stays the same through every recording, as a setpoint does; give what the sensor read"
+        raise table.refuse(int(np.argmax(contact)), "fn_N", why)
 
 
 def _check_sessions(table: CsvTable, run: Index, runs: tuple[str, ...], session: Index, sessions: tuple[str, ...]) -> None:
@@ -322,11 +319,8 @@ def _check_sessions(table: CsvTable, run: Index, runs: tuple[str, ...], session:
     if other.any():
         k = int(np.argmax(other))
         name, before = shown(runs[run[k]]), shown(sessions[session[first[run[k]]]])
-        raise table.refuse(
-            k,
-            "session",
-            f"is another than at the beginning of run {name} ({before}); a run is one recording: give each a name of its own",
-        )
+        why = f"is another than at the beginning of run {name} ({before}); a run is one recording: give each a name of its own"
+        raise table.refuse(k, "session", why)
 
 
 def _standing_still(table: CsvTable, run: Index, contact: Flags) -> list[str]:
@@ -340,11 +334,8 @@ def _standing_still(table: CsvTable, run: Index, contact: Flags) -> list[str]:
     if "feed_mm_s" in table.numbers and len(moving) and (np.median(moving) > CREEP or np.median(ways) > LEAST_WAY):
         feed, path = float(np.median(table.numbers["feed_mm_s"][contact])), 1e3 * float(np.median(moving))
         if feed > OTHER_TIME * path > 0:
-            raise table.refuse(
-                int(np.argmax(contact)),
-                "time_s",
-                f"makes the points move at {path:.3g} mm/s (median) where feed_mm_s says {feed:.3g}; give seconds",
-            )
+            why = f"makes the points move at {path:.3g} mm/s (median) where feed_mm_s says {feed:.3g}; give seconds"
+            raise table.refuse(int(np.argmax(contact)), "time_s", why)
         if path > 0 and not 1 / FEED_APART < feed / path < FEED_APART:
             found.append(
                 f"{table.path.name}, column feed_mm_s: {feed:.3g} in contact (median) while the points move at {path:.3g} mm/s "
@@ -376,9 +367,8 @@ def _check_copies(table: CsvTable, fn: Array, run: Index, runs: tuple[str, ...])
         at = np.flatnonzero(run == i)
         first = seen.setdefault(np.column_stack([q[at], fn[at]]).tobytes(), i) if len(at) > COPIED else i
         if first != i:
-            raise table.refuse(
-                int(at[0]), "run", f"holds the readings of run {shown(runs[first])} again; give each recording once"
-            )
+            why = f"holds the readings of run {shown(runs[first])} again; give each recording once"
+            raise table.refuse(int(at[0]), "run", why)
 
 
 def _counts(table: CsvTable, column: str) -> Index | None:

@@ -7,10 +7,11 @@ import numpy as np
 
 from ocp.calibrate.report.held_out import beyond_chance, fold_name
 from ocp.calibrate.report.residuals import drift_is_real
-from ocp.calibrate.report.view import ReadingsView, count_of, listed, mm, present
+from ocp.calibrate.report.view import ReadingsView, count_of, mm, present
 from ocp.calibrate.tracker import TrackerCalibration
 from ocp.report.parts import Points
 from ocp.report.section import Section
+from robots.calibration.identifiability import listed
 from robots.calibration.parameters import SYMBOLS
 from robots.calibration.validation import FoldErrors
 from robots.pose import Array

@@ -12,13 +12,14 @@ from matplotlib.axes import Axes
 from numpy.typing import NDArray
 from scipy.special import gammaincinv
 
-from ocp.calibrate.report.view import ReadingsView, count_of, listed, mm, named, present
+from ocp.calibrate.report.view import ReadingsView, count_of, mm, named, present
 from ocp.calibrate.tracker import TrackerCalibration
 from ocp.report.parts import Plot, Table, table
 from ocp.report.plotting import Canvas, dots, dressed, keys, panels, reach, running_median
 from ocp.report.section import Section
 from ocp.report.style import AFTER, BAD, BEFORE, INK, RULE, SHADE, SIDE_COLOURS, printable, shorten
 from ocp.report.workspace import draw_by_joint, draw_vectors, exaggeration
+from robots.calibration.identifiability import listed
 from robots.pose import Array
 from robots.tracker_readings import Index
 

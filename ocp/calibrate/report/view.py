@@ -104,8 +104,3 @@ def mm(value: float) -> str:
 def count_of(count: int, what: str) -> str:
     """'1 outlier', '2 outliers'."""
     return f"{count} {what}{'' if count == 1 else 's'}"
-
-
-def listed(words: list[str]) -> str:
-    """'a', 'a and b', 'a, b and c'."""
-    return words[0] if len(words) == 1 else ", ".join(words[:-1]) + " and " + words[-1]

@@ -6,7 +6,6 @@ With it effects, conditions and figures as a person says them.
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from ocp.calibrate.report.view import listed
 from ocp.diagnose.engine.findings import Diagnosis, Location, Name
 from ocp.diagnose.rules import LEADS
 from ocp.diagnose.verdict.answer import Answer, Patched, figures, there_of
@@ -14,6 +13,7 @@ from ocp.diagnose.verdict.patching import formula_of
 from ocp.diagnose.verdict.shrinkage import ANOTHER_DAY, NONE, Shrinkage
 from ocp.effects.catalogue import library
 from ocp.report.section import Headline
+from robots.calibration.identifiability import listed
 
 SHORT = {"tracker": "tracker", "force": "force", "joint": "link encoders"}
 DEPENDS = {

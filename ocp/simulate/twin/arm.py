@@ -154,14 +154,14 @@ def base_tilt(truth: Truth, time_s: Array) -> Array | None:
 class Moments:
     """Conditions of n instants, in time order where they are a path.
 
-    q (n, 6) rad commanded; approach (n, 6) sign of each axis' last motion (0: not known, no play); payload: one name, or one
-    for each instant; time_s (n,) s; temperature_C (n,); load (n, 6) N, N m in base axes on load_link (n,) (0..6) at load_place
-    (n, 3) m of its link frame. visit (n,): instants of one visit repeat alike (a run of a program); None: each is its own.
+    q (n, 6) rad commanded; approach (n, 6) sign of each axis' last motion (0: not known, no play); payload (n,): name of what
+    hangs then; time_s (n,) s; temperature_C (n,); load (n, 6) N, N m in base axes on load_link (n,) (0..6) at load_place (n, 3) m
+    of its link frame. visit (n,): instants of one visit repeat alike (a run of a program); None: each is its own.
     """
 
     q: Array
     approach: Array
-    payload: str | tuple[str, ...]
+    payload: tuple[str, ...]
     time_s: Array
     temperature_C: Array
     load: Array
@@ -191,8 +191,9 @@ def arm_moments(
     def spread(value: ArrayLike, *shape: int) -> Array:
         return np.broadcast_to(np.asarray(value, float), (n, *shape)).copy()
 
+    hangs = (payload,) * n if isinstance(payload, str) else payload
     loaded = spread(load, 6), spread(load_link).astype(np.int64), spread(load_place, 3)
-    return Moments(rows, spread(approach, 6), payload, spread(time_s), spread(temperature_C), *loaded, visit)
+    return Moments(rows, spread(approach, 6), hangs, spread(time_s), spread(temperature_C), *loaded, visit)
 
 
 @dataclass
@@ -221,10 +222,7 @@ class VirtualArm:
             motor = motor + (rng.normal(size=(int(visit.max(initial=-1)) + 1, 6)) * self.truth.repeatability)[visit]
         grown, tilt = growth(self.truth, warmth), base_tilt(self.truth, m.time_s)
         at = machine.Situations(motor, m.approach, grown, m.load, m.load_link, m.load_place, tilt)
-        if isinstance(m.payload, str):
-            result = machine.equilibria(self._machine(m.payload), self.hardware.laws, at)
-        else:
-            result = self._by_payload(m.payload, at)
+        result = self._by_payload(m.payload, at)
         if self.truth.planted("tool_flex"):
             result = replace(result, links=self._flexed(m, result.links))
         if rng is None:
@@ -233,9 +231,8 @@ class VirtualArm:
 
     def _flexed(self, m: Moments, links: Array) -> Array:
         """Links whose flange has moved as the tool does under the payload's weight and what pulls at the flange."""
-        names = (m.payload,) * len(m) if isinstance(m.payload, str) else m.payload
-        mass = {name: hung(self.truth, name)[0] for name in set(names)}
-        force = np.array([mass[name] for name in names])[:, None] * (machine.GRAVITY * self.robot.gravity_direction)
+        mass = {name: hung(self.truth, name)[0] for name in set(m.payload)}
+        force = np.array([mass[name] for name in m.payload])[:, None] * (machine.GRAVITY * self.robot.gravity_direction)
         force = force + m.load[:, :3] * (m.load_link == 6)[:, None]
         moved = links.copy()
         moved[:, 6, :3, 3] += np.einsum("nij,nj->ni", tool_give(self.truth, links), force)

@@ -278,8 +278,7 @@ def _write(path: Path, design: TrackerCampaign, points: Array | None = None, tur
     m, q = design.moments, np.degrees(design.moments.q)
     rows = []
     for k, target in enumerate(design.targets):
-        payload = m.payload if isinstance(m.payload, str) else m.payload[k]
-        row = [f"{m.time_s[k]:.1f}", f"{m.temperature_C[k]:.2f}", payload, target]
+        row = [f"{m.time_s[k]:.1f}", f"{m.temperature_C[k]:.2f}", m.payload[k], target]
         row += [f"{v:.6f}" for v in q[k]] + [f"{s:.0f}" for s in m.approach[k]]
         if points is not None:
             row += [f"{1e3 * v:.4f}" for v in points[k]]
@@ -322,7 +321,7 @@ def every_nest(cell: Cell, design: TrackerCampaign) -> TrackerCampaign:
     names = list(table.targets) if table is not None else []
     rows = np.repeat(np.arange(len(design)), len(names))
     m = design.moments
-    payload = m.payload if isinstance(m.payload, str) else tuple(m.payload[k] for k in rows)
+    payload = tuple(m.payload[k] for k in rows)
     time = np.maximum.accumulate(m.time_s[rows] + READING * np.tile(np.arange(len(names)), len(design)))
     repeated = arm_moments(m.q[rows], payload, m.temperature_C[rows], m.approach[rows], time, visit=rows)
     return TrackerCampaign(repeated, tuple(names) * len(design))

@@ -19,9 +19,8 @@ from robots.errors import BadInput
 from robots.pose import Array, make_transform
 
 SENSOR_SIGMA = 0.3  # N, one sigma of a force reading
-USUAL_PRESTON = (
-    1e-11  # 1/Pa, of a cell that tells none: 17 um at 20 N, 20 m/s of belt, 40 mm/s of feed and 6 mm from line to line
-)
+# 1/Pa, of a cell that tells none: 17 um at 20 N, 20 m/s of belt, 40 mm/s of feed and 6 mm from line to line.
+USUAL_PRESTON = 1e-11
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from ocp.simulate.twin.contact import Index
-from ocp.simulate.twin.contact.sensor import memory
+from ocp.simulate.twin.contact.sensor import behind
 from robots.pose import Array
 
 GRAVITY = 9.80665  # m/s^2, standard gravity
@@ -94,10 +94,7 @@ def set_late(command: Array, time: Array, bandwidth: float | None, delay: float)
     """What a device sets (n,) that was told `command` (n,): `delay` s late, behind a first-order low-pass of `bandwidth` Hz
     (None: none); before the first sample it had held that command for ever."""
     late = np.interp(time - delay, time, command)
-    if bandwidth is None:
-        return late
-    restart = np.arange(len(time)) == 0
-    return np.asarray(late[0] + memory(late - late[0], time, restart, 1.0 / (2 * np.pi * bandwidth)))
+    return late if bandwidth is None else behind(late, time, 1.0 / (2 * np.pi * bandwidth))
 
 
 def move(paths: list[ClosingPath], lane: Index, device: MovingDevice) -> list[MovedLane]:

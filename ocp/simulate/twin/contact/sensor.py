@@ -83,6 +83,12 @@ def memory(signal: Array, time: Array, restart: Array, tau: float) -> Array:
     return q
 
 
+def behind(values: Array, time: Array, tau: float) -> Array:
+    """Values (n,) behind a first-order low-pass that had held the first of them for ever."""
+    restart = np.arange(len(time)) == 0
+    return np.asarray(values[0] + memory(values - values[0], time, restart, tau))
+
+
 FILTER = 5e-4  # s, time constant of the sensor's own filter
 SLOW_SHARE, SLOW_TIME = 0.4, 0.03  # variance and correlation time s of the noise that is not white
 
@@ -90,7 +96,9 @@ SLOW_SHARE, SLOW_TIME = 0.4, 0.03  # variance and correlation time s of the nois
 def read_sensor(truth: Truth, result: ContactResult, c: ContactMoments, rng: np.random.Generator) -> tuple[Array, Array]:
     """Readings fn, ft (n,) N: ft is signed along axis x outward wheel radial at the contact."""
     late = truth.total("time_delay", "s")
-    normal, tangential = (_filtered(delayed(f, c.run, c.time_s, late), c) for f in (result.force, result.tangential))
+    normal, tangential = (delayed(f, c.run, c.time_s, late) for f in (result.force, result.tangential))
+    for run in c.runs():
+        normal[run], tangential[run] = (behind(f[run], c.time_s[run], FILTER) for f in (normal, tangential))
     leak = truth.total("tangential_force", "leak") + truth.total("sensor_crosstalk", "share")
     offset = truth.sensor_bias + truth.total("sensor_bias", "N")
     drift = truth.total("sensor_drift", "N_per_h") * c.campaign_time() / 3600.0
@@ -110,13 +118,3 @@ def noise(sigma: float, c: ContactMoments, rng: np.random.Generator) -> Array:
             value = keep[k] * value + fresh[k]
             slow[run.start + k] = value
     return np.asarray(sigma * (np.sqrt(1 - SLOW_SHARE) * white + np.sqrt(SLOW_SHARE) * slow))
-
-
-def _filtered(values: Array, c: ContactMoments) -> Array:
-    """Values behind the sensor's filter, started at rest at each run's first value."""
-    restart = np.zeros(len(values), bool)
-    first = np.empty(len(values))
-    for run in c.runs():
-        restart[run.start] = True
-        first[run] = values[run.start]
-    return np.asarray(first + memory(values - first, c.time_s, restart, FILTER))

@@ -249,21 +249,6 @@ DIFFERENT = 5e-5  # m: points this far apart are not
 
 
 @dataclass(frozen=True)
-class SolvedStations:
-    """Places p, n, t (k, 3) where contacts are solved, with their s (k,) m and line (k,); for each of n instants the stations on
-    both sides with the share of the second."""
-
-    p: Array
-    n: Array
-    t: Array
-    s: Array
-    line: Index
-    left: Index
-    right: Index
-    share: Array
-
-
-@dataclass(frozen=True)
 class PlannedLines:
     """Lines of n instants: which one a row is of, its arc length m, point m, normal and feed of the blade."""
 
@@ -272,6 +257,15 @@ class PlannedLines:
     p: Array
     n: Array
     t: Array
+
+
+@dataclass(frozen=True)
+class SolvedStations(PlannedLines):
+    """Places where contacts are solved; for each of n instants the stations on both sides with the share of the second."""
+
+    left: Index
+    right: Index
+    share: Array
 
 
 def place_stations(
@@ -302,7 +296,8 @@ def place_stations(
     n = frames[:, 3:6] / np.linalg.norm(frames[:, 3:6], axis=1, keepdims=True)
     t = frames[:, 6:] - n * np.sum(frames[:, 6:] * n, axis=1, keepdims=True)
     t /= np.linalg.norm(t, axis=1, keepdims=True)
-    return SolvedStations(frames[:, :3], n, t, np.concatenate([s for s, _ in parts]), np.concatenate(line), left, right, share)
+    s = np.concatenate([s for s, _ in parts])
+    return SolvedStations(np.concatenate(line), s, frames[:, :3], n, t, left, right, share)
 
 
 def _line(s: Array, frames: Array) -> tuple[Array, Array]:
