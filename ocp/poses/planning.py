@@ -35,7 +35,7 @@ from robots.kinematics import link_frames
 from robots.payload import refuse_overload
 from robots.pose import Array, apply, invert, transform_from_xyzabc
 from robots.robot import left_out_notices
-from robots.tracker_readings import Nest, Readings, planned_readings
+from robots.tracker_readings import Index, Nest, Readings, planned_readings
 from trajectories.program.program import Wait
 
 READINGS = 2  # of every pose: approached from either side
