@@ -442,30 +442,31 @@ def _families(
     seconds = np.diff(at) * path.s[-1] / path.feed.mean()
     short = np.maximum(np.abs(path.turn) - np.sign(path.turn) * turn, 0.0)
     aside = ((ways.arc - np.mean(cell.wheel.arc)) / np.ptp(cell.wheel.arc)) ** 2
+    # A whole turn of an axis moves nothing but that axis: what the other rules go by is the same for all of them.
+    radius, least, most = wrist_radius(cell, q), q.min(axis=2), q.max(axis=2)
+    wrist, shoulder = np.abs(np.sin(q[..., 4])).min(axis=2), np.abs(radius).min(axis=2)
+    speed = (np.abs(np.diff(q, axis=2)) / seconds[:, None] / robot.qd_max).max(axis=(2, 3))
+    elbow = np.abs(q[..., 2] - np.arctan2(robot.mdh[2, 2], robot.mdh[3, 1])).min(axis=2)
+    sound = (wrist > np.sin(WRIST_MARGIN)) & (speed < SEED_SPEED_SHARE) & (shoulder > SHOULDER_MARGIN) & (elbow > ELBOW_MARGIN)
+    calm = (
+        ((turn**2 + UNTURNED_WEIGHT * short**2) / max(cell.process.turn_tolerance, 1e-3) ** 2)[:, None]
+        + ARC_WEIGHT * aside.mean(axis=2)
+        + WRIST_WEIGHT / np.maximum(wrist, 1e-3) ** 2
+        + SPEED_WEIGHT * speed**2
+    )
+    reaching = 0.5 * np.asarray((radius < 0).any(axis=2))  # over its own axis 1, as no one would teach it
     seeds = []
     for a, b, c in product((-1, 0, 1), repeat=3):  # whole turns of axes 1, 4, 6
-        moved = q + 2 * np.pi * np.array([a, 0, 0, b, 0, c])
-        over = np.maximum(robot.q_min + AXIS_MARGIN - moved, moved - robot.q_max + AXIS_MARGIN).max(axis=2)
-        wrist = np.abs(np.sin(q[..., 4])).min(axis=2)
-        speed = (np.abs(np.diff(q, axis=2)) / seconds[:, None] / robot.qd_max).max(axis=(2, 3))
-        shoulder = np.abs(wrist_radius(cell, q)).min(axis=2)
-        elbow = np.abs(q[..., 2] - np.arctan2(robot.mdh[2, 2], robot.mdh[3, 1])).min(axis=2)
+        turns = 2 * np.pi * np.array([a, 0, 0, b, 0, c])
+        over = np.maximum(robot.q_min + AXIS_MARGIN - (least + turns), most + turns - robot.q_max + AXIS_MARGIN)
         inside = ok & (over <= 0).all(axis=-1)
-        sound = (
-            (wrist > np.sin(WRIST_MARGIN)) & (speed < SEED_SPEED_SHARE) & (shoulder > SHOULDER_MARGIN) & (elbow > ELBOW_MARGIN)
-        )
         _note(reasons, ok, over, inside, wrist, speed, shoulder)
-        cost = (
-            ((turn**2 + UNTURNED_WEIGHT * short**2) / max(cell.process.turn_tolerance, 1e-3) ** 2)[:, None]
-            + ARC_WEIGHT * aside.mean(axis=2)
-            + WRIST_WEIGHT / np.maximum(wrist, 1e-3) ** 2
-            + SPEED_WEIGHT * speed**2
-            + 0.02 * ((moved[..., [3, 5]] / np.pi) ** 2).max(axis=(2, 3))
-            + 0.5 * (np.abs(2 * moved - robot.q_min - robot.q_max) / (robot.q_max - robot.q_min)).max(axis=(2, 3)) ** 4
-            + 0.5 * (wrist_radius(cell, q) < 0).any(axis=2)  # reaching over its own axis 1, as no one would teach it
-        )
-        for g, b in np.argwhere(inside & sound):
-            seeds.append(Seed(direction, int(b), ways.arc[g, b], float(turn[g]), moved[g, b], at, float(cost[g, b])))
+        for g, branch in np.argwhere(inside & sound):
+            moved = q[g, branch] + turns
+            wound = 0.02 * ((moved[:, [3, 5]] / np.pi) ** 2).max()
+            off_middle = np.abs(2 * moved - robot.q_min - robot.q_max) / (robot.q_max - robot.q_min)
+            cost = calm[g, branch] + wound + 0.5 * off_middle.max() ** 4 + reaching[g, branch]
+            seeds.append(Seed(direction, int(branch), ways.arc[g, branch], float(turn[g]), moved, at, float(cost)))
     return seeds
 
 
