@@ -84,6 +84,8 @@ class CollisionScene:
         self.cell, self._vertices = cell, blade_vertices
         self._bodies = _bodies(cell, blade_vertices)
         self._pairs = _pairs(self._bodies)
+        self._frame = [body.frame for body in self._bodies]
+        self._placement = np.array([body.placement for body in self._bodies])
 
     def __reduce__(self) -> tuple[Any, ...]:
         return CollisionScene, (self.cell, self._vertices)
@@ -92,37 +94,35 @@ class CollisionScene:
         """Distance minus margin of the closest pair at joints q (n, 6): values (n,) m and the bodies' names."""
         request = coal.DistanceRequest()
         request.enable_signed_distance = True
-        frames = link_frames(self.cell.robot, np.atleast_2d(q))
+        links = link_frames(self.cell.robot, np.atleast_2d(q))
+        frames = np.concatenate([links, np.broadcast_to(np.eye(4), (len(links), 1, 4, 4))], axis=1)[:, self._frame]
         pairs = [p for p in self._pairs if not (in_contact and p.off_contact)]
-        least = self._least(frames, pairs)
+        least, poses = self._least(frames, pairs), frames @ self._placement
         values, names = np.full(len(frames), np.inf), [("", "")] * len(frames)
-        for k, (frame, nearest) in enumerate(zip(frames, np.argsort(least, axis=1, kind="stable"), strict=True)):
+        for k, nearest in enumerate(np.argsort(least, axis=1, kind="stable")):
             placed: dict[int, coal.Transform3s] = {}
             closest = -1
             for j in nearest:
                 if least[k, j] > values[k] + SPARE:
                     break
                 pair = pairs[j]
-                a, b = self._bodies[pair.a], self._bodies[pair.b]
-                for i, body in ((pair.a, a), (pair.b, b)):
+                for i in (pair.a, pair.b):
                     if i not in placed:
-                        placed[i] = self._place(body, frame)
+                        placed[i] = coal.Transform3s(poses[k, i, :3, :3], poses[k, i, :3, 3])
+                a, b = self._bodies[pair.a], self._bodies[pair.b]
                 gap = coal.distance(a.shape, placed[pair.a], b.shape, placed[pair.b], request, coal.DistanceResult())
                 if (gap - pair.margin, j) < (values[k], closest):
                     values[k], names[k], closest = gap - pair.margin, (a.name, b.name), j
         return values, names
 
     def _least(self, frames: Array, pairs: list[BodyPair]) -> Array:
-        """What distance minus margin (n, pairs) m cannot be less than, by the balls about the bodies, for link frames
-        (n, 7, 4, 4)."""
-        centre = np.empty((len(frames), len(self._bodies), 3))
-        for i, body in enumerate(self._bodies):
-            centre[:, i] = body.ball[0] if body.frame == 7 else apply(frames[:, body.frame], body.ball[0])
-        least = np.empty((len(frames), len(pairs)))
-        for j, pair in enumerate(pairs):
-            reach = self._bodies[pair.a].ball[1] + self._bodies[pair.b].ball[1] + pair.margin
-            least[:, j] = np.linalg.norm(centre[:, pair.a] - centre[:, pair.b], axis=1) - reach
-        return least
+        """What distance minus margin (n, pairs) m cannot be less than, by the balls about the bodies, for their frames
+        (n, bodies, 4, 4)."""
+        centre = apply(frames, np.array([body.ball[0] for body in self._bodies]))
+        radius = np.array([body.ball[1] for body in self._bodies])
+        a, b = np.array([(pair.a, pair.b) for pair in pairs]).T
+        reach = radius[a] + radius[b] + np.array([pair.margin for pair in pairs])
+        return np.asarray(np.linalg.norm(centre[:, a] - centre[:, b], axis=2) - reach)
 
     def clearance(self, q: Array, in_contact: bool) -> Clearance:
         """The smallest of `clearances` over joints q (n, 6); negative means that a margin is broken."""
@@ -151,11 +151,6 @@ class CollisionScene:
                 gap = coal.distance(body.shape, placed, wheel.shape, fixed, request, coal.DistanceResult())
                 values[k] = min(values[k], gap - BLADE_MARGIN)
         return values
-
-    @staticmethod
-    def _place(body: Body, frames: Array) -> coal.Transform3s:
-        T = body.placement if body.frame == 7 else frames[body.frame] @ body.placement
-        return coal.Transform3s(T[:3, :3], T[:3, 3])
 
 
 def _bodies(cell: Cell, vertices: Array) -> list[Body]:
