@@ -46,21 +46,20 @@ def inverse_dynamics(
     q, qd, qdd (n, 6) in rad, rad/s, rad/s^2; payload kg, centre (3,) m in the flange frame. Without friction,
     rotor inertia and balancer, which the catalogue does not know.
     """
-    model, data = _known_model(robot, payload_mass, payload_com)
-    rows = [np.asarray(x, float).reshape(-1, 6) for x in (q, qd, qdd)]
-    return np.array([pin.rnea(model, data, *row) for row in zip(*rows, strict=True)]).reshape(-1, 6)
+    columns = [np.asfortranarray(np.asarray(x, float).reshape(-1, 6).T) for x in (q, qd, qdd)]
+    torque = pin.rneaInParallel(1, _known_model(robot, payload_mass, payload_com), *columns)
+    return np.ascontiguousarray(torque.T).reshape(-1, 6)
 
 
-_known: dict[tuple[bytes, ...], tuple[pin.Model, pin.Data]] = {}
+_known: dict[tuple[bytes, ...], pin.ModelPool] = {}
 
 
-def _known_model(robot: Robot, payload_mass: float, payload_com: ArrayLike) -> tuple[pin.Model, pin.Data]:
+def _known_model(robot: Robot, payload_mass: float, payload_com: ArrayLike) -> pin.ModelPool:
     """`rigid_body_model` with room for its results; those asked for last are at hand, a plan asks a thousand times."""
     arm = robot.mdh, robot.sign, robot.gravity_direction, robot.link_mass, robot.link_com, robot.link_inertia
     key = tuple(np.asarray(part, float).tobytes() for part in (*arm, payload_mass, payload_com))
     if key not in _known:
         while len(_known) >= KEPT_MODELS:
             del _known[next(iter(_known))]
-        model = rigid_body_model(robot, payload_mass, payload_com)
-        _known[key] = model, model.createData()
+        _known[key] = pin.ModelPool(rigid_body_model(robot, payload_mass, payload_com), 1)
     return _known[key]
