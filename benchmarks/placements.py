@@ -17,7 +17,7 @@ from ocp.model.prepare import ContactModel, prepare_contact
 from ocp.model.theta import believed_theta
 from ocp.plan.clearance import CollisionScene
 from ocp.plan.motion import build_motion
-from ocp.plan.passes.optimise import Ground, solve_passes
+from ocp.plan.passes.optimise import Ground, compiled_solver, solve_passes
 from ocp.plan.passes.posture import find_seeds
 from ocp.plan.passes.stage import ObjectiveWeights
 from ocp.plan.passes.stretches import whole_lines
@@ -48,7 +48,8 @@ def plan(cell: Cell, laid: LaidPaths, contact: ContactModel) -> str:
             cell, believed_theta(cell), ObjectiveWeights(), contact.law, contact.cover, laid.blade.vertices, laid.cloud
         )
         stretches = whole_lines(laid.paths, list(contact.compliance.per_pass))[0]
-        solved = solve_passes(ground, stretches, seeds).passes
+        solver = compiled_solver(cell, ground.law, ground.theta, ground.weights, laid.paths)
+        solved = solve_passes(ground, solver, stretches, seeds).passes
         return f"planned, program of {build_motion(cell, scene, solved).duration:.0f} s"
     except Infeasible as error:
         return f"refused: {error}"

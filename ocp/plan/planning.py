@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +16,7 @@ from ocp.model.theta import Theta, registered
 from ocp.plan.accuracy import WorkingAccuracy, working_accuracy
 from ocp.plan.clearance import CollisionScene
 from ocp.plan.motion import PlannedMotion, build_motion
-from ocp.plan.passes.optimise import Ground, GroundLines, compile_model, remembered_passes, solve_passes
+from ocp.plan.passes.optimise import Ground, GroundLines, compiled_solver, remembered_passes, solve_passes
 from ocp.plan.passes.posture import seeds_of_stretches
 from ocp.plan.passes.stage import ObjectiveWeights
 from ocp.plan.passes.stretches import (
@@ -101,7 +101,7 @@ def make_plan(cell_file: Path, blade_file: Path | None, options: PlanOptions, ph
 
     def compiled(law: WheelLaw) -> None:
         with phases.phase("machine code"):
-            compile_model(cell, law, theta, weights, laid.paths)
+            compiled_solver(cell, law, theta, weights, laid.paths)
 
     contact = prepare_contact(cell, laid.blade, laid.paths, phases, compiled)
     _refuse_forces(laid.paths, contact.law.limits["force"], options)
@@ -117,10 +117,11 @@ def make_plan(cell_file: Path, blade_file: Path | None, options: PlanOptions, ph
     feeds = partial(even_feeds, cell, laid.flanks, laid.wanted) if options.fitted else None
 
     def solve() -> GroundLines:
+        solver = cache(lambda: compiled_solver(cell, contact.law, theta, weights, [one.path for one in whole]))
         with phases.phase("postures"):
-            stretches, seeds, lost = seeds_of_stretches(cell, scene, contact.law, whole, options.whole)
+            stretches, seeds, lost = seeds_of_stretches(cell, scene, contact.law, whole, options.whole, solver)
         with phases.phase("optimal control", len(stretches)) as advance:
-            found = solve_passes(ground, stretches, seeds, options.whole, feeds, advance)
+            found = solve_passes(ground, solver(), stretches, seeds, options.whole, feeds, advance)
         return GroundLines(found.passes, joined([*lost, *found.left_out]))
 
     solved = remembered_passes(ground, laid.paths, compliance, solve, options.whole, options.fitted)

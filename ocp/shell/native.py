@@ -25,6 +25,7 @@ from dataclasses import dataclass
 from functools import cache, cached_property
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -96,9 +97,9 @@ class ColumnFunction:
     def __init__(self, function: ca.Function) -> None:
         self.function = function
 
-    def __reduce__(self) -> tuple[type["ColumnFunction"], tuple[ca.Function]]:
-        """For another process, which loads the library itself."""
-        return ColumnFunction, (self.function,)
+    def __reduce__(self) -> tuple[Any, ...]:
+        """For another process, which loads the library itself, but need not write its C again."""
+        return ColumnFunction, (self.function,), {name: value for name, value in vars(self).items() if name != "library"}
 
     def name(self) -> str:
         """As CasADi's functions tell theirs."""

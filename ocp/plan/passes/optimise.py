@@ -346,9 +346,9 @@ def _turns_differ(one: PassProblem, other: PassProblem) -> bool:
 _worker: PassWorker | None = None
 
 
-def _start_worker(ground: Ground) -> None:
+def _start_worker(ground: Ground, derived: dict[str, Any]) -> None:
     global _worker
-    _worker = PassWorker(ground)
+    _worker = PassWorker(ground, PassSolver(ground.cell, ground.law, ground.theta, ground.weights, derived=derived))
 
 
 def _look_in_worker(stretch: LineStretch, seed: Seed) -> DrivenLine | None:
@@ -363,23 +363,24 @@ def _solve_in_worker(stretch: LineStretch, seeds: list[Seed], whole: bool, looke
 
 def solve_passes(
     ground: Ground,
+    solver: PassSolver,
     stretches: list[LineStretch],
     seeds: list[list[Seed]],
     whole: bool = True,
     feeds: Feeds | None = None,
     advance: Callable[[], None] = lambda: None,
 ) -> GroundLines:
-    """Solve every pass, in worker processes where there are several cores; what cannot be ground is left out.
+    """Solve every pass by the `solver` of its ground, in worker processes where there are several cores; what cannot be ground is
+    left out.
 
     `feeds`: the feeds of all lines, from what they are at the postures of their seeds; without, they are driven as they are.
     Raises Infeasible of the first pass (in order) that has no sound solution if the `whole` of all of them is asked for.
     """
-    compile_model(ground.cell, ground.law, ground.theta, ground.weights, [one.path for one in stretches])
     jobs = min(cores(), len(stretches))
     starts = [options[0] for options in seeds]
     looked: Sequence[DrivenLine | None] = [None] * len(stretches)
     if jobs <= 1:
-        worker = PassWorker(ground)
+        worker = PassWorker(ground, solver)
         if feeds is not None:
             looked = [worker.look(*task) for task in zip(stretches, starts, strict=True)]
             stretches = _at_feeds(stretches, starts, feeds(looked))
@@ -388,7 +389,7 @@ def solve_passes(
             solved.append(worker.solve_stretch(stretch, options, whole, line))
             advance()
         return GroundLines.together(solved)
-    with workers(jobs, _start_worker, ground) as pool:
+    with workers(jobs, _start_worker, ground, solver.stage.derived) as pool:
         if feeds is not None:
             looked = list(pool.map(_look_in_worker, stretches, starts))
             stretches = _at_feeds(stretches, starts, feeds(looked))
@@ -400,12 +401,14 @@ def solve_passes(
         return GroundLines.together([future.result() for future in futures])
 
 
-def compile_model(cell: Cell, law: WheelLaw, theta: Theta, weights: ObjectiveWeights, paths: Sequence[BladePath]) -> None:
-    """Have machine code made of what the passes over `paths` evaluate, where that is quicker than to do without."""
+def compiled_solver(cell: Cell, law: WheelLaw, theta: Theta, weights: ObjectiveWeights, paths: Sequence[BladePath]) -> PassSolver:
+    """What solves the passes over `paths`; machine code is made of what it evaluates where that is quicker than to do without."""
+    solver = PassSolver(cell, law, theta, weights)
     if sum(len(path.s) for path in paths) >= WORTH_COMPILING:
-        PassSolver(cell, law, theta, weights).compile()
+        solver.compile()
     else:
         left_uncompiled(f"machine code is made for {WORTH_COMPILING} waypoints and more")
+    return solver
 
 
 def _at_feeds(stretches: list[LineStretch], seeds: list[Seed], feeds: Sequence[Array | None]) -> list[LineStretch]:

@@ -5,8 +5,10 @@ direction of travel, the arc held or rolled along (the shortest path through sta
 branch, turns) compete in a shortest path over the passes, so that neither a pass nor the travel between passes depends on luck.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, fields
 from itertools import product
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -111,15 +113,22 @@ def find_seeds(cell: Cell, scene: CollisionScene, law: WheelLaw, paths: list[Bla
 
 
 def seeds_of_stretches(
-    cell: Cell, scene: CollisionScene, law: WheelLaw, stretches: list[LineStretch], whole: bool
+    cell: Cell,
+    scene: CollisionScene,
+    law: WheelLaw,
+    stretches: list[LineStretch],
+    whole: bool,
+    meanwhile: Callable[[], Any] = lambda: None,
 ) -> tuple[list[LineStretch], list[list[Seed]], list[LeftOut]]:
-    """The stretches, cut where there is no posture, with their seeds as `find_seeds` ranks them, and what is left out.
+    """The stretches, cut where there is no posture, with their seeds as `find_seeds` ranks them, and what is left out;
+    `meanwhile` is done while others look for them.
 
     Raises CannotGrind as `find_seeds` does if the `whole` of them is asked for.
     """
     tried: list[tuple[LineStretch, list[Seed]]] = []
     lost = []
     with side_by_side(_seeds_or_why, [(one.path,) for one in stretches], cell, scene, law) as found:
+        meanwhile()
         left: list[tuple[LineStretch, list[Seed] | CannotGrind | None]] = list(zip(stretches, found, strict=True))
     while left:
         one, seeds = left.pop(0)

@@ -2,6 +2,7 @@
 
 from copy import copy
 from dataclasses import dataclass, replace
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -105,16 +106,26 @@ class Evaluation:
 class PassSolver:
     """The compiled model of a cell, solving pass after pass; programs are built once per padded length.
 
-    `folded`: theta's values are part of the programs; without, one solver serves `other` cells of its kind.
+    `folded`: theta's values are part of the programs; without, one solver serves `other` cells of its kind. `derived`: the
+    stage's functions, from a solver of the same in another process.
     """
 
-    def __init__(self, cell: Cell, law: WheelLaw, theta: Theta, weights: ObjectiveWeights, folded: bool = True) -> None:
+    def __init__(
+        self,
+        cell: Cell,
+        law: WheelLaw,
+        theta: Theta,
+        weights: ObjectiveWeights,
+        folded: bool = True,
+        derived: dict[str, Any] | None = None,
+    ) -> None:
         self.cell, self.theta, self.weights = cell, theta, weights
         self.law, self.limits = law, law.limits
         self.sigma = cell.process.sigma
         self.folded = folded
         self.model: Model = build_model(cell, law, self.sigma, len(theta.values) > Theta.size, any_bend=not folded)
         self.stage: Stage = build_stage(cell, self.model, weights, theta, folded)
+        vars(self.stage).update(derived or {})
         self._programs: dict[tuple[int, bool], Transcription] = {}
         m = self.model
         slope = ca.jacobian(m.residual, m.F)

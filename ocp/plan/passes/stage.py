@@ -8,6 +8,7 @@ waypoints of all passes.
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -120,6 +121,12 @@ class Stage:
         """All that the nonlinear program evaluates of a stage."""
         scatter = [] if self.scatter is None else self.scatter_terms
         return [self.hessian, self.jacobian, self.value, self.gradient, *scatter]
+
+    @property
+    def derived(self) -> dict[str, Any]:
+        """`functions` by the names that they have here, for a stage built alike in another process: deriving them takes long."""
+        names = ("hessian", "jacobian", "value", "gradient", *(() if self.scatter is None else ("scatter_terms",)))
+        return {name: getattr(self, name) for name in names}
 
     @property
     def n_parameters(self) -> int:
