@@ -294,10 +294,17 @@ def uneven(patches: LinePatches, tilt: float, axis: int) -> float:
     return float(tilt * np.sqrt(square.mean()) / patches.indentation[0])
 
 
-def leaning(patches: LinePatches) -> PassProblem:
+def leaning(patches: LinePatches, missed: float = 0.0) -> PassProblem:
     line = PassProblem.start(bar_pass(), SEED, np.zeros((40, 3)))
     entry = Engagement(0.3, 0.004, 0.02, 0.76, 4900.0, 20.0)
-    return air_to_air_problem(line, entry, patches, 1e-3, (0.003, 0.0))
+    return air_to_air_problem(line, entry, patches, np.full(len(patches.at), missed), 1e-3, (0.003, 0.0))
+
+
+def test_what_the_wheels_table_misses_is_known_from_the_start_and_goes_as_the_indentation():
+    way = leaning(box(), 5e-6)
+    share = way.way.share
+    assert share.min() == 0.0 and share.max() > 0.99
+    np.testing.assert_allclose(way.indentation_correction, 5e-6 * share ** (2 / 3), atol=1e-12)
 
 
 @pytest.mark.parametrize(("patches", "off"), [(box(), 0.07), (ellipsoid(), 0.2)])

@@ -187,7 +187,8 @@ def plane_cells() -> SideCells:
 
 def led(path: BladePath, room: float = 0.003) -> DrivenLine:
     """With ramps of 0.3 s, in which 6 mm are driven: more than a patch's half-length."""
-    return DrivenLine(path, ellipsoid(), Engagement(0.3, 4e-3, 0.02, 0.76, 4900.0, 20.0), (room, room))
+    patches = ellipsoid()
+    return DrivenLine(path, patches, np.zeros(len(patches.at)), Engagement(0.3, 4e-3, 0.02, 0.76, 4900.0, 20.0), (room, room))
 
 
 def ground_by(lines: list[DrivenLine], points: np.ndarray) -> np.ndarray:

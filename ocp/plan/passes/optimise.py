@@ -1,8 +1,8 @@
 """All passes of a blade through the optimiser, side by side in worker processes, and kept on disk.
 
-A pass is solved, its wheel contact solved directly at the solution, the difference (what the wheel's table missed) fed back as a
-correction, and solved again; then collisions and contact elsewhere on the blade are checked at every waypoint. A seed that fails
-gives way to the next.
+A pass is solved with what the wheel's table misses at the postures of its seed, its wheel contact is solved directly at the
+solution, the difference that is left fed back as a correction, and it is solved again; then collisions and contact elsewhere on
+the blade are checked at every waypoint. A seed that fails gives way to the next.
 """
 
 from collections.abc import Callable, Sequence
@@ -235,12 +235,13 @@ class PassWorker:
         if patches is None:
             reason = "the wheel bears nowhere on it"
             raise CannotGrind.of(path, np.ones(len(path.s), bool), reason, "use a narrower wheel or larger margins")
-        return DrivenLine(path, patches, entry, lead_room(path, patches, cell.process.edge_force))
+        missed = patches.indentation - np.interp(patches.at, path.s, seen.parts[:, 1])
+        return DrivenLine(path, patches, missed, entry, lead_room(path, patches, cell.process.edge_force))
 
     def _whole_way(self, line: PassProblem, driven: DrivenLine, led: bool) -> PassProblem:
         """The way from air to air over a line; `led`: with what leads in to it and out of it."""
         step = float(np.median(np.diff(line.path.s)))
-        return air_to_air_problem(line, driven.entry, driven.patches, step, driven.room if led else (0.0, 0.0))
+        return air_to_air_problem(line, driven.entry, driven.patches, driven.missed, step, driven.room if led else (0.0, 0.0))
 
     def _solve(self, problem: PassProblem) -> SolvedPass:
         start: PassSolution | None = None

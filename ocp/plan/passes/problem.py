@@ -87,10 +87,11 @@ class PassProblem:
 
 
 def air_to_air_problem(
-    line: PassProblem, entry: Engagement, patches: LinePatches, step: float, room: tuple[float, float]
+    line: PassProblem, entry: Engagement, patches: LinePatches, missed: Array, step: float, room: tuple[float, float]
 ) -> PassProblem:
-    """The whole way of a `line` whose nodes are its waypoints, `patches` its footprints; nodes about `step` m apart in the pass.
-    It begins and ends `room` m beyond the line.
+    """The whole way of a `line` whose nodes are its waypoints, `patches` its footprints and `missed` (k,) m at them, by how much
+    farther the wheel is pressed in than its table has it; nodes about `step` m apart in the pass. It begins and ends `room` m
+    beyond the line.
 
     Raises Infeasible where the line is too short.
     """
@@ -102,7 +103,9 @@ def air_to_air_problem(
     # Tilted by a, a patch of half-axis b that is pressed in by d at its middle bears a b / d more at one end, less at the other.
     slope = patches.half_axes / patches.indentation[:, None] / 3**0.5
     lean = np.column_stack([np.interp(course.s, patches.at, one) * course.share for one in slope.T])
-    return replace(start, course=course, depth=depth, lean=lean, turn_limit=line.turn_limit)
+    correction = np.interp(course.s, patches.at, missed) * np.cbrt(course.share) ** 2  # as the indentation does (Hertz)
+    known = {"indentation_correction": correction, "turn_limit": line.turn_limit}
+    return replace(start, course=course, depth=depth, lean=lean, **known)
 
 
 def lead_room(path: BladePath, patches: LinePatches, edge_force: float) -> tuple[float, float]:

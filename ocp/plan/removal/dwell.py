@@ -117,11 +117,13 @@ class _Line:
 
 @dataclass(frozen=True)
 class DrivenLine:
-    """A line as it will be driven, in its direction of travel: its path, footprints at its postures, how contact begins and
-    ends on it, and how far (m) before and behind the line."""
+    """A line as it will be driven, in its direction of travel: its path, footprints at its postures, by how much farther (k,) m
+    the wheel is pressed in at them than its table has it, how contact begins and ends on it, and how far (m) before and behind
+    the line."""
 
     path: BladePath
     patches: LinePatches
+    missed: Array
     entry: Engagement
     room: tuple[float, float]
 
