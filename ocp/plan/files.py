@@ -16,16 +16,8 @@ from ocp.plan.passes.stretches import CannotGrind
 from ocp.plan.planning import Plan
 from ocp.plan.programming import Timeline, build_timeline, emitted_times, grinding_program, write_plan_csv, write_program
 from ocp.plan.readback import Readback, read_back
-from ocp.plan.report.axes import axes_section
-from ocp.plan.report.force import force_section, left_out_section, verification_section
 from ocp.plan.report.plan_report import PlanReport, build_report
-from ocp.plan.report.quantities import contact_section, maps_section
-from ocp.plan.report.removal import removal_section
-from ocp.plan.report.scene import scene_section
 from ocp.plan.second_route import believed_robot
-from ocp.report.parts import Facts, made_from
-from ocp.report.report import Report
-from ocp.report.section import Headline, Section
 from ocp.shell.cache import sha256
 from ocp.shell.output import Output
 from ocp.shell.processes import side_by_side
@@ -213,25 +205,6 @@ def _write_json(plan: Plan, written: _Written, summary: list[tuple[str, str]], g
     path.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
 
 
-def plan_pages(report: PlanReport) -> Report:
-    """The report as headline and sections, in their order."""
-    words = report.headline if report.safe else "Do not use."
-    head = Headline(report.safe, words, report.verdict, doubtful=words != "Safe to use.")
-    sections = (
-        scene_section(report),
-        Section("Summary", (Facts(tuple(report.summary)),)),
-        *([left_out_section(report)] if report.left_out else []),
-        force_section(report),
-        axes_section(report),
-        removal_section(report),
-        maps_section(report),
-        contact_section(report),
-        verification_section(report),
-        made_from(report.inputs),
-    )
-    return Report("Grinding plan", report.title, head, report.notices, sections)
-
-
 def write_plan_report(report: PlanReport, folder: Path) -> None:
     """Write report.html and report.pdf into `folder`; equal reports give equal bytes. Raises OSError."""
     with side_by_side(_write_as, [("html",), ("pdf",)], report, folder) as written:
@@ -239,6 +212,8 @@ def write_plan_report(report: PlanReport, folder: Path) -> None:
 
 
 def _write_as(report: PlanReport, folder: Path, kind: str) -> None:
+    from ocp.plan.report.pages import plan_pages  # brings what draws, which a plan's own process does without
+
     pages = plan_pages(report)
     write = {"html": pages.write_page, "pdf": pages.write_pdf}[kind]
     write(folder / f"report.{kind}")

@@ -38,7 +38,8 @@ def plan(
     written then.
     """
     phases = Phases(progress)
-    with reserved(Path(out), overwrite, _inputs(cell, blade, path, program, stock)) as output, crew("ocp.plan.files"):
+    inputs = _inputs(cell, blade, path, program, stock)
+    with reserved(Path(out), overwrite, inputs) as output, crew("ocp.plan.files", "ocp.plan.report.pages"):
         from ocp.plan.files import write_plan  # heavy: a kept plan does without, and the crew imports it meanwhile
         from ocp.plan.paths import PlanOptions
         from ocp.plan.planning import make_plan

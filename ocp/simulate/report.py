@@ -9,7 +9,8 @@ from matplotlib.colors import Colormap, LinearSegmentedColormap
 from numpy.typing import NDArray
 
 from ocp.model.cell import Cell
-from ocp.plan.report.surface import GroundPass, draw_blade, paint_blade
+from ocp.plan.report.plan_report import GroundPass
+from ocp.plan.report.surface import draw_blade, paint_blade
 from ocp.report.parts import Plot, Table, table
 from ocp.report.plotting import Canvas, dressed, keys, panels
 from ocp.report.section import Headline, Section

@@ -17,9 +17,9 @@ import pytest
 from markupsafe import Markup
 from scipy.spatial import cKDTree
 
-from ocp.plan.files import plan_pages
 from ocp.plan.grades import Grade, Grades
 from ocp.plan.passes.stretches import LeftOut
+from ocp.plan.report.pages import plan_pages
 from ocp.plan.report.plan_report import LeftOutReport, PlanReport
 from ocp.plan.report.quantities import QUANTITIES
 from ocp.plan.report.surface import paint_blade, pass_spacing

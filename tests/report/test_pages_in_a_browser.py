@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from ocp.plan.files import plan_pages
+from ocp.plan.report.pages import plan_pages
 from tests.support.browser import CONTRAST, FAINT, GROUND, NEEDED, SPILT, browser
 from tests.support.report_example import example_report
 

@@ -147,7 +147,8 @@ def example_report(blade: Path | None = None, lines: int = 8, count: int = 188, 
 
 def main(folder: str, blade: str | None = None) -> None:
     """Write report.html, report.pdf and refused.html (a plan that must not be used) into the folder."""
-    from ocp.plan.files import plan_pages, write_plan_report
+    from ocp.plan.files import write_plan_report
+    from ocp.plan.report.pages import plan_pages
 
     report = example_report(Path(blade) if blade else None)
     out = Path(folder)

@@ -18,6 +18,7 @@ from typer.testing import CliRunner
 from ocp.data import BLADE, CELL
 from ocp.plan import files
 from ocp.plan.__main__ import app
+from ocp.plan.report.pages import plan_pages
 
 ROOT = Path(__file__).resolve().parents[2]
 TEXT = (CELL).read_text()
@@ -93,7 +94,7 @@ def undrawn() -> Iterator[None]:
     """Plans in this process without the figures of their report, which take a third of their time; what they are drawn from is
     still put together."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(files, "write_plan_report", lambda report, folder: files.plan_pages(report))
+        patch.setattr(files, "write_plan_report", lambda report, folder: plan_pages(report))
         yield
 
 

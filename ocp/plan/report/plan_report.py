@@ -17,7 +17,6 @@ from ocp.plan.passes.stretches import LeftOut
 from ocp.plan.planning import Plan
 from ocp.plan.programming import Timeline
 from ocp.plan.removal.result import Removal
-from ocp.plan.report.surface import GroundPass
 from ocp.shell.cache import sha256
 from robots.kinematics import link_frames
 from robots.pose import Array
@@ -27,6 +26,16 @@ from robots.robot import Robot
 FRAMES = 500  # of the animation
 LEFT_OUT_STEP = 1e-3  # m between points of a piece that is left out
 SAMPLE = 0.02  # s between samples of the drawn motion
+
+
+@dataclass(frozen=True)
+class GroundPass:
+    """Where the blade is ground: points `p` (n, 3) m with outward normals `n` (n, 3), way `s` (n,) m, side of the blade."""
+
+    side: str
+    p: Array
+    n: Array
+    s: Array
 
 
 @dataclass(frozen=True)

@@ -16,8 +16,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.collections import PolyCollection
 from matplotlib.colors import Normalize
 
-from ocp.plan.report.plan_report import LeftOutReport, PassReport, PlanReport
-from ocp.plan.report.surface import GroundPass
+from ocp.plan.report.plan_report import GroundPass, LeftOutReport, PassReport, PlanReport
 from ocp.report.parts import Plot
 from ocp.report.plotting import Canvas, dressed, keys, panels
 from ocp.report.section import Section

@@ -17,6 +17,7 @@ from matplotlib.colors import Colormap, Normalize, to_rgb
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from ocp.plan.report.plan_report import GroundPass
 from ocp.report.plotting import Canvas
 from ocp.report.style import LEFT_OUT, NOT_GROUND, SOFT
 from robots.pose import Array
@@ -28,16 +29,6 @@ LONE_PASS_WIDTH = 0.004
 
 
 _LIGHT = np.array([0.35, 0.35, 0.87])
-
-
-@dataclass(frozen=True)
-class GroundPass:
-    """Where the blade is ground: points `p` (n, 3) m with outward normals `n` (n, 3), way `s` (n,) m, side of the blade."""
-
-    side: str
-    p: Array
-    n: Array
-    s: Array
 
 
 @dataclass(frozen=True)
