@@ -96,10 +96,11 @@ class ColumnFunction:
 
     def __init__(self, function: ca.Function) -> None:
         self.function = function
+        self._maps: dict[int, ca.Function] = {}
 
     def __reduce__(self) -> tuple[Any, ...]:
         """For another process, which loads the library itself, but need not write its C again."""
-        return ColumnFunction, (self.function,), {name: value for name, value in vars(self).items() if name != "library"}
+        return ColumnFunction, (self.function,), {name: value for name, value in vars(self).items() if name == "source"}
 
     def name(self) -> str:
         """As CasADi's functions tell theirs."""
@@ -122,8 +123,11 @@ class ColumnFunction:
         return int(self.function.n_instructions())
 
     def map(self, n: int) -> ca.Function:
-        """The function of n columns, with the outputs of all of them side by side; the same bits either way."""
-        return self.function.map(n) if self.library is None else self.mapped(self.library, n)
+        """The function of n columns, with the outputs of all of them side by side; the same bits either way. What was asked for is
+        at hand: a pass asks several times."""
+        if n not in self._maps:
+            self._maps[n] = self.function.map(n) if self.library is None else self.mapped(self.library, n)
+        return self._maps[n]
 
     def mapped(self, library: ca.Function, n: int) -> ca.Function:
         """`map` by a library, in calls of COLUMNS columns each; the last is filled up with copies of the last column."""
@@ -223,6 +227,7 @@ def compile_together(functions: Sequence[ColumnFunction]) -> None:
             try:
                 one.keep(content.result())
                 del one.library
+                one._maps.clear()
                 one.library  # noqa: B018  loaded now
             except _Unusable as error:
                 _told.update((other.name(), str(error)) for other in (missing if one is missing[0] else [one]))
