@@ -123,7 +123,7 @@ class ColumnFunction:
         return int(self.function.n_instructions())
 
     def map(self, n: int) -> ca.Function:
-        """The function of n columns, with the outputs of all of them side by side; the same bits either way. What was asked for is
+        """The function of n columns, with the outputs of all of them side by side; the same bits either way. Those asked for are
         at hand: a pass asks several times."""
         if n not in self._maps:
             self._maps[n] = self.function.map(n) if self.library is None else self.mapped(self.library, n)
