@@ -96,6 +96,12 @@ class JointTrajectory:
         """ds/dt (...) m/s."""
         return np.maximum(self._law(t, 1), 0.0)
 
+    def motion(self, t: Array | float) -> tuple[Array, Array, Array]:
+        """`q`, `qd` and `qdd` in one go."""
+        s, v, u = self.s(t), self.feed(t)[..., None], self._law(t, 2)[..., None]
+        slope = self.path(s, 1)
+        return np.asarray(self.path(s)), np.asarray(slope * v), np.asarray(self.path(s, 2) * v**2 + slope * u)
+
     def q(self, t: Array | float) -> Array:
         """Joints (..., 6) rad."""
         return np.asarray(self.path(self.s(t)))
@@ -106,13 +112,12 @@ class JointTrajectory:
 
     def qdd(self, t: Array | float) -> Array:
         """Joint accelerations (..., 6) rad/s^2: q'' (ds/dt)^2 + q' d2s/dt2."""
-        s, v, u = self.s(t), self.feed(t), self._law(t, 2)
-        return np.asarray(self.path(s, 2) * v[..., None] ** 2 + self.path(s, 1) * u[..., None])
+        return self.motion(t)[2]
 
     def ratios(self, t: Array) -> Array:
         """Ratios (n, 4) of speed, acceleration, torque (largest over the axes) and feed at times t (n,)."""
         t, limits = np.asarray(t, float), self.limits
-        q, qd, qdd = self.q(t), self.qd(t), self.qdd(t)
+        q, qd, qdd = self.motion(t)
         result = np.zeros((len(t), 4))
         result[:, 0] = np.abs(qd / limits.qd).max(axis=1)
         result[:, 1] = np.abs(qdd / limits.qdd).max(axis=1)

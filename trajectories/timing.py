@@ -194,9 +194,9 @@ def _checked(trajectory: JointTrajectory, ratios: Array, status: TimingStatus) -
 def _tightened(old: _Tightening, trajectory: JointTrajectory, t: Array, excess: Array, window: float) -> _Tightening:
     """Divisors raised where a sample is beyond a limit, as far as the running mean mixes."""
     dynamic, speed = np.ones_like(old.s), np.ones_like(old.s)
-    for i in np.flatnonzero(excess.max(axis=1) > 1.0):
-        reach = trajectory.s(np.array([t[i] - window, t[i] + window]))
-        low, high = np.searchsorted(old.s, reach) + np.array([-2, 2])
+    beyond = np.flatnonzero(excess.max(axis=1) > 1.0)
+    reach = trajectory.s(np.stack([t[beyond] - window, t[beyond] + window]))
+    for i, low, high in zip(beyond, *(np.searchsorted(old.s, reach) + np.array([[-2], [2]])), strict=True):
         stretch = slice(max(low, 0), high)
         dynamic[stretch] = np.maximum(dynamic[stretch], 1.001 * excess[i, 1:3].max())
         speed[stretch] = np.maximum(speed[stretch], 1.001 * max(excess[i, 0], excess[i, 3]))
@@ -225,8 +225,8 @@ def _torque_factor(trajectory: JointTrajectory, t: Array) -> float:
     limits = trajectory.limits
     if limits.torque is None or limits.torque_max is None:
         return 1.0
-    q = trajectory.q(t)
+    q, qd, qdd = trajectory.motion(t)
     rest = limits.torque(q, 0 * q, 0 * q)
-    dynamic = limits.torque(q, trajectory.qd(t), trajectory.qdd(t)) - rest
+    dynamic = limits.torque(q, qd, qdd) - rest
     room = limits.margin * limits.torque_max - np.sign(dynamic) * rest
     return float(np.sqrt(max(1.0, (np.abs(dynamic) / room).max())))
