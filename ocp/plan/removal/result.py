@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -67,6 +68,11 @@ class Removal:
     depth: Array
     relative: Array
 
+    @cached_property
+    def tree(self) -> cKDTree:
+        """Search tree of the points."""
+        return cKDTree(self.points)
+
     def at(self, points: Array) -> Array:
         """Depth over what is wanted at contact points (n, 3), nan where a point is nan."""
         return self._nearest(self.relative, points)
@@ -74,7 +80,7 @@ class Removal:
     def _nearest(self, values: Array, points: Array) -> Array:
         known = np.isfinite(points).all(axis=1)
         found = np.full(len(points), np.nan)
-        found[known] = values[cKDTree(self.points).query(points[known])[1]]
+        found[known] = values[self.tree.query(points[known])[1]]
         return found
 
     def beside_told(self) -> list[str]:
