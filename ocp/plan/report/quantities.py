@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
-from matplotlib.collections import PolyCollection
+from matplotlib.collections import PathCollection, PolyCollection
 from matplotlib.colors import Normalize
+from matplotlib.path import Path as Outline
 
 from ocp.plan.report.plan_report import GroundPass, LeftOutReport, PassReport, PlanReport
 from ocp.report.parts import Plot
@@ -111,19 +112,16 @@ def _map_plot(report: PlanReport, caption: str, keys: tuple[str, ...]) -> Plot:
 
 
 def _draw_maps(canvas: Canvas, report: PlanReport, keys: tuple[str, ...]) -> None:
-    sides = list(sides_of(report))
+    sides = {side: _Strips.of(report, side) for side in sides_of(report)}
     axes = panels(canvas, len(keys), len(sides), left=0.3, right=0.7, across=0.35, down=0.45, bottom=0.3)
     for row, key in zip(axes, keys, strict=True):
         item = quantity(key)
         norm = Normalize(*colour_range(report, item))
-        for ax, side in zip(row, sides, strict=True):
-            group = [one for one in report.passes if one.side == side]
-            lost = [one for one in report.left_out if one.side == side and len(one.s)]
-            lines = list(dict.fromkeys([one.line for one in group] + [one.lost.line for one in lost]))
-            _draw_bars(ax, group, lost, lines, item, norm)
+        for ax, (side, strips) in zip(row, sides.items(), strict=True):
+            _draw_bars(ax, strips, item, norm)
             ax.set_facecolor("#f2f4f6")
-            step = max(1, len(lines) // 16)
-            ax.set_yticks(range(0, len(lines), step), [str(line) for line in lines[::step]])
+            step = max(1, len(strips.lines) // 16)
+            ax.set_yticks(range(0, len(strips.lines), step), [str(line) for line in strips.lines[::step]])
             dressed(ax, f"{item.label}{f', {item.unit}' if item.unit else ''}: {side}", grid="")
             ax.tick_params(color=RULE)
         bar = row[-1].inset_axes((1.05, 0.0, 0.045, 1.0))
@@ -148,30 +146,48 @@ def common_distance(group: Sequence[GroundPass]) -> list[Array]:
     return result
 
 
-def _draw_bars(
-    ax: Axes, group: list[PassReport], lost: list[LeftOutReport], lines: list[int], item: Quantity, norm: Normalize
-) -> None:
-    """A strip of cells a pass with the waypoints in their middles, and an arrow along it, in the row of its line; a plain strip
-    for what is left out."""
-    cells, values, ends = [], [], []
-    distances = common_distance([*group, *lost])
-    for gone, along in zip(lost, distances[len(group) :], strict=True):
+@dataclass(frozen=True)
+class _Strips:
+    """The passes of a side as strips of cells with the waypoints in their middles, in the rows of their `lines`: outlines of all
+    cells, laid once for every quantity that colours them; ends (passes, 2) mm; distances m along passes and what is left out."""
+
+    group: list[PassReport]
+    lost: list[LeftOutReport]
+    lines: list[int]
+    distances: list[Array]
+    ends: Array
+    cells: Sequence[Outline]
+
+    @staticmethod
+    def of(report: PlanReport, side: str) -> "_Strips":
+        """Those of a side."""
+        group = [one for one in report.passes if one.side == side]
+        lost = [one for one in report.left_out if one.side == side and len(one.s)]
+        lines = list(dict.fromkeys([one.line for one in group] + [one.lost.line for one in lost]))
+        distances, cells, ends = common_distance([*group, *lost]), [], []
+        for one, along in zip(group, distances[: len(group)], strict=True):
+            place = lines.index(one.line)
+            x = 1e3 * along
+            edges = np.concatenate([x[:1], (x[1:] + x[:-1]) / 2, x[-1:]]) if len(x) > 1 else x[0] + np.array([-0.5, 0.5])
+            left, right, foot, head = edges[:-1], edges[1:], np.full(len(x), place - 0.42), np.full(len(x), place + 0.42)
+            cells.append(np.stack([np.c_[left, foot], np.c_[right, foot], np.c_[right, head], np.c_[left, head]], axis=1))
+            ends.append((edges[0], edges[-1]))
+        corners: Any = np.concatenate(cells)  # as one array, of which outlines are made faster than of a list
+        return _Strips(group, lost, lines, distances, np.array(ends), PolyCollection(corners).get_paths())
+
+
+def _draw_bars(ax: Axes, strips: _Strips, item: Quantity, norm: Normalize) -> None:
+    """The strips in the colours of a quantity, and an arrow along each pass; a plain strip for what is left out."""
+    group, lines, distances = strips.group, strips.lines, strips.distances
+    for gone, along in zip(strips.lost, distances[len(group) :], strict=True):
         low, high = 1e3 * float(along.min()), 1e3 * float(along.max())
         ax.barh(lines.index(gone.lost.line), high - low, 0.84, low, color=LEFT_OUT, hatch="////", edgecolor="white", lw=0)
-    for one, along in zip(group, distances[: len(group)], strict=True):
-        place = lines.index(one.line)
-        x = 1e3 * along
-        edges = np.concatenate([x[:1], (x[1:] + x[:-1]) / 2, x[-1:]]) if len(x) > 1 else x[0] + np.array([-0.5, 0.5])
-        left, right, foot, head = edges[:-1], edges[1:], np.full(len(x), place - 0.42), np.full(len(x), place + 0.42)
-        cells.append(np.stack([np.c_[left, foot], np.c_[right, foot], np.c_[right, head], np.c_[left, head]], axis=1))
-        values.append(item.factor * np.asarray(getattr(one, item.key), float))
-        ends.append((edges[0], edges[-1]))
     # Rasterised: thousands of cells as vectors make a slow, heavy file with hairlines between the cells.
-    corners: Any = np.concatenate(cells)  # as one array, which is drawn faster than a list
-    bars = PolyCollection(corners, cmap=COLOUR_MAP, norm=norm, rasterized=True, edgecolors="face", linewidths=0.1)
-    bars.set_array(np.ma.masked_invalid(np.concatenate(values)))
+    bars = PathCollection(strips.cells, cmap=COLOUR_MAP, norm=norm, rasterized=True, edgecolors="face", linewidths=0.1)
+    values = np.concatenate([item.factor * np.asarray(getattr(one, item.key), float) for one in group])
+    bars.set_array(np.ma.masked_invalid(values))
     ax.add_collection(bars)
-    start, end = np.array(ends).T
+    start, end = strips.ends.T
     everywhere = 1e3 * np.concatenate(distances)
     ax.set_xlim(everywhere.min(), everywhere.max())
     ax.set_ylim(-0.6, len(lines) - 0.4)
