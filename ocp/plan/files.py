@@ -107,17 +107,20 @@ def _renamed(name: str, program: str) -> tuple[str, ...]:
 
 def _write_programs(plan: Plan, folder: Path, phases: Phases) -> _Written:
     cell = plan.cell
+
+    def table() -> None:
+        setpoint = cell.flange.setpoint if cell.flange is not None else np.nan
+        more = [*plan.removal.columns(timeline), *accuracy_columns(plan.accuracy, plan.motion, timeline)]
+        write_plan_csv(timeline, folder / "plan.csv", setpoint, more)
+
     with phases.phase("writing"):
         program = grinding_program(cell, plan.motion, plan.kind, plan.name)
         files = write_program(cell, program, folder)
         timeline = build_timeline(plan.motion, emitted_times(plan.motion, program))
-        setpoint = cell.flange.setpoint if cell.flange is not None else np.nan
-        more = [*plan.removal.columns(timeline), *accuracy_columns(plan.accuracy, plan.motion, timeline)]
-        write_plan_csv(timeline, folder / "plan.csv", setpoint, more)
     with phases.phase("reading back"):
         values = plan.theta.values
         believed = believed_robot(cell, values[:30].reshape(6, 5), values[30:36], float(values[36]), values[37:40])
-        readback = read_back(cell, believed, plan.cover, plan.cloud, plan.motion, files[0])
+        readback = read_back(cell, believed, plan.cover, plan.cloud, plan.motion, files[0], table)
     return _Written(files[0].stem, sorted(file.name for file in files), timeline, readback)
 
 

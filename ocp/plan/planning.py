@@ -177,8 +177,9 @@ def planned_motion(job: Job, solved: GroundLines) -> Plan:
         motion, lost = reachable_motion(cell, job.scene, solved, whole, advance)
     refuse_mostly_left_out(laid.paths, lost)
     lost = as_driven(lost, laid.paths, {p.problem.path.line for p in motion.passes if p.problem.seed.direction < 0})
+    accuracy = cache(lambda: working_accuracy(job.believed, cell, job.ground.theta, contact.law, motion.passes))
     with job.phases.phase("removal"):
-        removal = find_removal(cell, motion, contact.cover, laid.cloud, laid.flanks, laid.wanted)
+        removal = find_removal(cell, motion, contact.cover, laid.cloud, laid.flanks, laid.wanted, accuracy)
     told = removal.beside_told()
     if job.options.fitted:
         told.insert(0, feeds_told(cell, [p.grinding().problem.path for p in motion.passes], laid.wanted, job.options.laid))
@@ -197,7 +198,7 @@ def planned_motion(job: Job, solved: GroundLines) -> Plan:
         wheel_error=contact.law.error,
         compliance_error=float(np.max(contact.compliance.interpolation_error)),
         removal=removal,
-        accuracy=tuple(working_accuracy(job.believed, cell, job.ground.theta, contact.law, motion.passes)),
+        accuracy=tuple(accuracy()),
         lines=tuple(laid.paths),
         left_out=tuple(lost),
         whole=whole,

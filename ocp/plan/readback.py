@@ -1,5 +1,6 @@
 """The written text taken as the only truth: read, re-interpolated, and its force predicted by the second route."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -58,9 +59,15 @@ class Readback:
 
 
 def read_back(
-    cell: Cell, believed: BelievedRobot, cover: Cover, cloud: SurfaceCloud, motion: PlannedMotion, main: Path
+    cell: Cell,
+    believed: BelievedRobot,
+    cover: Cover,
+    cloud: SurfaceCloud,
+    motion: PlannedMotion,
+    main: Path,
+    meanwhile: Callable[[], None] = lambda: None,
 ) -> Readback:
-    """Read the program `main` and judge it.
+    """Read the program `main` and judge it; `meanwhile` is done while others predict its forces.
 
     Raises BadInput as the reader does, CannotGrind of the passes whose force is not what was planned, Infeasible where times or
     limits are not.
@@ -74,6 +81,7 @@ def read_back(
     unheld: list[CannotGrind] = []
     tasks = [(one, *rows) for one, rows in zip(motion.passes, driven, strict=True)]
     with side_by_side(_checked, tasks, cell, believed, cover, cloud) as checks:
+        meanwhile()
         found = list(checks)
     for place, (seconds, path, checked) in enumerate(found):
         held, in_air = checked, in_air + seconds

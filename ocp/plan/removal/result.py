@@ -1,8 +1,9 @@
 """What a timed motion takes off the blade: the map over its surface, all lines summed, and the shares by which it is judged."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -103,9 +104,16 @@ class Removal:
 
 
 def find_removal(
-    cell: Cell, motion: PlannedMotion, cover: Cover, cloud: SurfaceCloud, flanks: Sequence[SideCells], wanted: Wanted
+    cell: Cell,
+    motion: PlannedMotion,
+    cover: Cover,
+    cloud: SurfaceCloud,
+    flanks: Sequence[SideCells],
+    wanted: Wanted,
+    meanwhile: Callable[[], Any] = lambda: None,
 ) -> Removal:
-    """The depth that the timed motion takes off the `flanks`, every row of contact of every pass summed, over what is `wanted`.
+    """The depth that the timed motion takes off the `flanks`, every row of contact of every pass summed, over what is `wanted`;
+    `meanwhile` is done while others sum it up.
 
     Raises Infeasible of the contact solver.
     """
@@ -115,6 +123,7 @@ def find_removal(
     normals = np.vstack([*(one.normals.reshape(-1, 3) for one in flanks), *(path.n for path in paths)])
     tasks = [(one, rows.of(place)) for place, one in enumerate(motion.passes)]
     with side_by_side(line_work, tasks, cell, cover, cloud, cKDTree(points), normals) as found:
+        meanwhile()
         half, works = zip(*found, strict=True)
     depth, asked = sum(works) / programmed_work(cell), wanted.at(points, normals)
     relative = np.where(asked > LEAST_WANTED, depth / np.maximum(asked, LEAST_WANTED), np.nan)
