@@ -2,6 +2,7 @@
 
 import sys
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -45,10 +46,17 @@ JOINTS = {
 }
 
 
+@cache
+def findings_of(name):
+    """What is said of an arm whose joint does so, its readings, and where reflectors of other readings would be."""
+    readings, points = world(11, JOINTS[name][0])
+    return diagnose_channels([channel(readings)], LIBRARY, Options(folds=False)), readings, points
+
+
 @pytest.mark.parametrize("name", JOINTS)
 def test_what_a_joint_does_outside_the_catalogue_is_placed(name):
-    shift, joint, conditions = JOINTS[name]
-    d = diagnose_channels([channel(world(11, shift)[0])], LIBRARY, Options(folds=False))
+    _, joint, conditions = JOINTS[name]
+    d = findings_of(name)[0]
     at = d.location if d.verdict == "unexplained" else d.remainder  # a name may follow a part of it
     assert d.verdict in ("unexplained", "partly") and at is not None
     assert at.joint == joint

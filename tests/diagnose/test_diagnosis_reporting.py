@@ -73,7 +73,7 @@ def test_nothing_is_said_to_be_held_that_is_not(verdict, active, written, told, 
     assert safe in answering._safe(SimpleNamespace(diagnosis=found, patch=None, written=effects), Path("out"))
 
 
-def test_columns_of_sealed_files_that_are_passed_over_are_told(tmp_path):
+def test_columns_of_sealed_files_that_are_passed_over_are_told(unprinted, tmp_path):
     folder = write_tracker_folder(tmp_path / "set", 3, 1e-4, n=40, sealed=3)
     folder = tmp_path / "set" if folder is None else folder
     file = tmp_path / "set" / "sealed_tracker.csv"

@@ -22,7 +22,7 @@ from ocp.effects.engine.symbolic import planned_arm_context
 from ocp.effects.patch import feature_factors, lengths_outside, make_patch, patch_of, patch_table
 from robots.calibration.solver import Campaign
 from robots.kinematics import chain
-from tests.diagnose.test_diagnosis_kernels import JOINTS
+from tests.diagnose.test_diagnosis_kernels import JOINTS, findings_of
 from tests.diagnose.test_diagnosis_tracker import LIBRARY, ROBOT, channel, world
 from tests.support.simulated_campaign import INSTRUMENT, PAYLOADS, campaign_readings
 
@@ -68,8 +68,7 @@ def rms(off):
 def test_a_patch_brings_most_of_what_the_exact_signature_would(clean, name):
     """Joint 3 follows joint 2 by a formula of the test's own, or joint 2 comes to rest after its stop: with the patch new
     postures are met nearly as well as by the same arm without the effect."""
-    readings, points = world(11, JOINTS[name][0])
-    d = diagnose_channels([channel(readings)], LIBRARY, Options(folds=False))
+    d, readings, points = findings_of(name)
     unknown = unnamed(d, ())
     assert unknown is not None
     found = patched(unknown, None)
@@ -118,8 +117,7 @@ def test_a_program_has_nothing_of_what_settles(clean):
 def test_conditions_that_say_nothing_of_what_settles():
     """Without a time they are predicted all the same, sigma as wide as what is there; after a wait longer than any measured
     nothing is left of it, and that is known."""
-    readings, points = world(11, JOINTS["settling"][0])
-    d = diagnose_channels([channel(readings)], LIBRARY, Options(folds=False))
+    d, _, points = findings_of("settling")
     unknown = unnamed(d, ())
     found = patched(unknown, None)
     new, truth = new_readings(6, points)
@@ -135,10 +133,10 @@ def test_conditions_that_say_nothing_of_what_settles():
     assert rested.inside.all() and rms(rested.patched - found.channel.predict(late, ()).corrected) < 3e-5
 
 
-def test_patches_come_with_the_likeliest_first():
+def test_patches_come_with_the_likeliest_first(clean):
     """One that shares what it has with another course may stand behind one that does not."""
     kernels_by_size = {"temperature x q4": 0.5, "q4 x q3": 0.4, "q4": 0.1}
-    problem = linearised([channel(world(11)[0])], LIBRARY, Options())
+    problem = linearised([clean], LIBRARY, Options())
     search = Search(problem.pool, 2, 4)
     names = {Name(f"?tracker/{where}/joint", 4): p for where, p in kernels_by_size.items()}
     for name in names:
@@ -167,7 +165,7 @@ def test_what_warms_up_may_as_well_come_with_time(cooled):
 @pytest.mark.parametrize(("name", "instead"), [("settling", ("backlash", 2)), ("resolver", None)])
 def test_what_is_true_without_a_kernel(name, instead):
     """Names where some stand for it badly, play for what settles; nothing where none does."""
-    d = diagnose_channels([channel(world(11, JOINTS[name][0])[0])], LIBRARY, Options(folds=False))
+    d = findings_of(name)[0]
     assert sum(a.probability for a in d.instead) == pytest.approx(1.0)
     keys = {one.key for one in max(d.instead, key=lambda a: a.probability).active}
     assert keys == ({instead} if instead else set())

@@ -11,6 +11,7 @@ from ocp.data import CELL
 from ocp.diagnose.answering import tracker_channel
 from ocp.diagnose.dataset import read_data_set
 from ocp.diagnose.engine.findings import Name, Options
+from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.diagnose.verdict.diagnosis import Diagnosis, diagnose_channels
 from ocp.effects.catalogue import library
 from ocp.model.cell import read_cell
@@ -56,12 +57,16 @@ def drawn(cell, *texts: str) -> Truth:
     return replace(truth, ripple=truth.ripple * [0.0, 1.0, 1.0], play=np.zeros(6), outliers=0.0)
 
 
-def found(cell, design, folder: Path, text: str, names: tuple[str, ...]) -> Diagnosis:
-    """What is said of that machine."""
-    truth = drawn(cell, text)
-    tracker_world(folder, cell, truth, TrackerLog(design, None))
+def measured(cell, design, folder: Path, text: str) -> TrackerChannel:
+    """The campaign of that machine, the believed arm fitted."""
+    tracker_world(folder, cell, drawn(cell, text), TrackerLog(design, None))
+    return tracker_channel(read_data_set(folder))
+
+
+def found(channel: TrackerChannel, names: tuple[str, ...]) -> Diagnosis:
+    """What is said of it with these effects in the library."""
     known = {name: library()[name] for name in names}
-    return diagnose_channels([tracker_channel(read_data_set(folder))], known, Options(folds=False, where=False))
+    return diagnose_channels([channel], known, Options(folds=False, where=False))
 
 
 @pytest.mark.parametrize("text", PLANTED)
@@ -69,14 +74,15 @@ def test_is_found_with_its_size_and_missed_without_its_file(cell, design, tmp_pa
     planted = parse_effect(text)
     own = Name(planted.effect, planted.joint or 0)
     key, size = PLANTED[text]
-    there = found(cell, design, tmp_path, text, ALL)
+    channel = measured(cell, design, tmp_path, text)
+    there = found(channel, ALL)
     assert there.verdict == "explained"
     (named,) = there.explanations[0].names
     same = next((c for c in there.classes if named in c), (named,))
     assert own in same
     if named == own:
         assert there.active[0].parameters[key] == pytest.approx(size, rel=0.15)
-    left = found(cell, design, tmp_path, text, tuple(n for n in ALL if n not in {o.effect for o in same}))
+    left = found(channel, tuple(n for n in ALL if n not in {o.effect for o in same}))
     assert left.verdict != "explained"
 
 
@@ -86,6 +92,6 @@ def test_plays_that_the_data_cannot_tell_are_one_class(cell, design, tmp_path, t
     m = design.moments
     load = make_arm(cell, drawn(cell)).settled(m).load_torque[:, 2]
     m = replace(m, approach=np.column_stack([m.approach[:, :2], np.sign(load), m.approach[:, 3:]]))
-    there = found(cell, replace(design, moments=m), tmp_path, text, ALL)
+    there = found(measured(cell, replace(design, moments=m), tmp_path, text), ALL)
     assert {Name("backlash", 3), Name("load_backlash", 3)} <= set().union(*there.classes)
     assert there.explanations[0].names[0].effect in ("backlash", "load_backlash", "friction_windup")

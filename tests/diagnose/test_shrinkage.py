@@ -1,6 +1,7 @@
 """The promise of shrinkage: on numbers alone, and against arms in NumPy that know none of the diagnosis' models."""
 
 from dataclasses import replace
+from functools import cache
 from types import SimpleNamespace
 
 import numpy as np
@@ -292,8 +293,9 @@ PLANTED = {
 }
 
 
-def promised_and_realised(name: str, seed: int, size: float, asked: bool = False):
-    """Shrinkage predicted from the campaign, for any new postures or for those `asked` for, and what came at 200 of them."""
+@cache
+def fitted(name: str, seed: int, size: float):
+    """The believed arm and the one with the name, 200 new postures, and the shrinkage that comes there."""
     joint, shift = PLANTED[name]
     readings, points = world(seed, shift, background=size)
     before = channel(readings)
@@ -301,11 +303,16 @@ def promised_and_realised(name: str, seed: int, size: float, asked: bool = False
     after = before.with_active((Active(effect, joint, np.zeros(effect.size), {}, np.zeros((effect.size, effect.size))),))
     fresh = campaign_readings(np.random.default_rng(seed + 500), 200)
     fresh = replace(fresh, time=np.linspace(9000, 11000, 200), temperature=np.full(200, 26.0))
-    sealed = replace(fresh, point=np.full((200, 3), np.nan)) if asked else None
-    promise = from_model(anticipated(before, after, (), sealed), [], (1e-3 * after.noise_floor) ** 2)
     there, told = points(fresh), after.predict(fresh, after.active)
     e, f = (np.sqrt(np.mean(np.sum((p - there) ** 2, axis=1))) for p in (told.baseline, told.corrected))
-    return promise, 1 - f / e
+    return before, after, fresh, 1 - f / e
+
+
+def promised_and_realised(name: str, seed: int, size: float, asked: bool = False):
+    """Shrinkage predicted from the campaign, for any new postures or for those `asked` for, and what came at 200 of them."""
+    before, after, fresh, realised = fitted(name, seed, size)
+    sealed = replace(fresh, point=np.full((200, 3), np.nan)) if asked else None
+    return from_model(anticipated(before, after, (), sealed), [], (1e-3 * after.noise_floor) ** 2), realised
 
 
 def test_promises_are_kept():
