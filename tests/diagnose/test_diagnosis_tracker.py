@@ -7,11 +7,13 @@ import pytest
 
 from ocp.calibrate.tracker import as_in
 from ocp.diagnose.engine.findings import Name, Options
+from ocp.diagnose.engine.linearisation import linearised
 from ocp.diagnose.rules import LINES_A_GEAR, QUIET
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.diagnose.tracker.held_out import placed_stands, tracker_folds
 from ocp.diagnose.tracker.refit import believed_baseline, linearise_with, placed_readings, points_with, reliability, settled
 from ocp.diagnose.tracker.weights import link_torques, weighed_links
+from ocp.diagnose.verdict import diagnosis
 from ocp.diagnose.verdict.diagnosis import diagnose_channels
 from ocp.diagnose.verdict.doubts import cancelling, implausible
 from ocp.effects.catalogue import library
@@ -69,8 +71,8 @@ def column(j, values):
 
 
 def diagnosed(readings, **options):
-    """Findings without folds, which most tests need not."""
-    return diagnose_channels([channel(readings)], LIBRARY, Options(**({"folds": False} | options)))
+    """Findings without folds and places, which most tests need not."""
+    return diagnose_channels([channel(readings)], LIBRARY, Options(**({"folds": False, "where": False} | options)))
 
 
 PLANTED = {
@@ -84,7 +86,7 @@ PLANTED = {
 
 @pytest.mark.parametrize("name", PLANTED)
 def test_recovers_what_was_planted(name):
-    d = diagnosed(world(4, PLANTED[name])[0])
+    d = diagnosed(world(4, PLANTED[name])[0], where=True)
     assert d.verdict == "explained"
     same = [set(map(str, c)) for c in d.classes if name in map(str, c)]
     assert {str(d.explanations[0].names[0])} <= set().union({name}, *same)
@@ -100,7 +102,7 @@ def test_huge_effects_are_named_however_much_they_scatter(monkeypatch):
     monkeypatch.setattr("ocp.diagnose.verdict.diagnosis.select_effects", None)
     readings, _ = world(4, lambda r: column(2, 4e-3 * r.approach[:, 1]) + column(1, 2e-3 * r.approach[:, 0]), n=70)
     assert channel(readings).restless(1.0)
-    d = diagnosed(readings, where=False)
+    d = diagnosed(readings)
     assert d.verdict == "explained" and {str(Name(*a.key)) for a in d.active} == {"backlash:1", "backlash:2"}
 
 
@@ -116,7 +118,7 @@ def test_recovers_a_nest_that_moved():
         return np.where((r.time > 4000.0) & (r.target == 1), 1.0, 0.0)[:, None] * np.array([2e-4, -1e-4, 1e-4])
 
     # In the tracker's frame a nest of a turning flange does not move so; a tilted base or a drift would not pick one nest.
-    d = diagnosed(world(5, None, moved)[0])
+    d = diagnosed(world(5, None, moved)[0], where=True)
     assert d.verdict != "no_gap" and max(1.0 - d.p_none, d.p_unknown) > 0.99
     assert d.location is not None and (d.location.subsystem in ("target", "tracker") or d.p_unknown > 0.5)
 
@@ -131,7 +133,7 @@ def test_no_effect_is_none(seed):
 def test_a_scatter_that_no_such_machine_has_is_not_no_gap():
     readings, _ = world(3, n=90)
     scattered = replace(readings, point=readings.point + 1e-3 * np.random.default_rng(1).normal(size=readings.point.shape))
-    found = diagnosed(scattered, where=False)
+    found = diagnosed(scattered)
     assert found.verdict == "unexplained" and "scatter far more" in found.unknown_reasons[-1]
 
 
@@ -139,7 +141,7 @@ def test_weights_that_no_catalogue_knows_are_neither_named_nor_left():
     """Links as a catalogue has them, 4 % off in mass and 1 cm in their centres: what they do is learnt, so that the believed cell
     meets new readings with a load that was measured, and nobody is accused of it."""
     readings, points = world(4, weights=True)
-    found = diagnosed(readings, where=False)
+    found = diagnosed(readings)
     assert found.verdict == "no_gap", found.ranking[:3]
     new = replace(campaign_readings(np.random.default_rng(9), 60), time=None, temperature=None)
     c = found.channels[0]
@@ -204,7 +206,7 @@ def test_a_fold_without_names_is_that_of_the_believed_arm_refitted():
 @pytest.mark.parametrize("seed", [4, 9])
 def test_a_soft_joint_under_weights_that_no_catalogue_knows_is_all_that_is_named(seed):
     soft = np.array([0.0, 1.4e-6, 4e-7, 0.0, 0.0, 0.0])
-    found = diagnosed(world(seed, compliance=soft, weights=True)[0], where=False)
+    found = diagnosed(world(seed, compliance=soft, weights=True)[0])
     assert {Name(*a.key) for a in found.active} == {Name("joint_compliance", 2)}, found.ranking[:4]
 
 
@@ -213,7 +215,7 @@ def test_a_small_ripple_stands_out_where_all_other_gears_are_quiet(quiet, named,
     """18 urad, below the usual range, in one gear; for any gear's ripple where the others were not asked."""
     monkeypatch.setattr("ocp.diagnose.engine.linearisation.QUIET", quiet)
     readings, _ = world(21, lambda r: column(2, 1.8e-5 * np.cos(52 * r.q[:, 1] + 0.5)), n=250)
-    found = diagnosed(readings, where=False)
+    found = diagnosed(readings)
     assert ({Name(*a.key) for a in found.active} == {Name("gear_harmonic", 2)}) == named, found.ranking[:2]
 
 
@@ -238,7 +240,7 @@ def test_what_no_repeatability_scatters_is_in_the_sigma():
 def test_the_ripple_of_a_gear_among_loud_ones_is_no_effect(lines, named, monkeypatch):
     """With one line a gear in the background the names of others are its second and third."""
     monkeypatch.setattr("ocp.diagnose.engine.linearisation.LINES_A_GEAR", lines)
-    found = diagnosed(world(22, loud)[0], where=False)
+    found = diagnosed(world(22, loud)[0])
     assert bool(found.active) == named, found.ranking[:3]
 
 
@@ -256,7 +258,7 @@ def test_torques_of_weights_are_those_of_other_links():
 
 
 def test_an_effect_outside_the_catalogue_is_placed_but_not_named():
-    d = diagnosed(world(6, lambda r: column(3, 3e-4 * np.sin(2 * r.q[:, 2]) * np.cos(2 * r.q[:, 0])))[0])
+    d = diagnosed(world(6, lambda r: column(3, 3e-4 * np.sin(2 * r.q[:, 2]) * np.cos(2 * r.q[:, 0])))[0], where=True)
     assert d.verdict == "unexplained"
     assert d.location is not None and d.location.joint == 3
     assert set(d.location.depends_on) == {"q3", "q1"}
@@ -264,7 +266,7 @@ def test_an_effect_outside_the_catalogue_is_placed_but_not_named():
 
 def test_what_is_withheld_from_the_library_is_not_named():
     readings, _ = world(4, PLANTED["backlash:5"])
-    d = diagnosed(readings, withheld=("backlash", "friction_windup"))
+    d = diagnosed(readings, withheld=("backlash", "friction_windup"), where=True)
     assert d.verdict == "unexplained"
     assert d.location is not None and d.location.joint == 5
 
@@ -398,11 +400,15 @@ def test_blind_without_the_columns():
     assert c.blind(LIBRARY["wheel_wear"])
 
 
-def test_a_large_campaign_is_searched_in_part_and_fitted_whole():
-    readings, _ = world(4, PLANTED["backlash:5"], n=1400)
+def test_a_large_campaign_is_searched_in_part_and_fitted_whole(monkeypatch):
+    searched = []
+    monkeypatch.setattr("ocp.diagnose.rules.MOST_SEARCHED", 300)
+    monkeypatch.setattr(diagnosis, "linearised", lambda few, *told: searched.append(len(few[0].gap())) or linearised(few, *told))
+    readings, _ = world(4, PLANTED["backlash:5"], n=420)
     d = diagnosed(readings)
+    assert 300 <= max(searched) < 320 and len(readings) == 420
     assert str(d.explanations[0].names[0]) == "backlash:5"
-    assert len(d.channels[0].gap()) == 1400 and d.channels[0].active
+    assert len(d.channels[0].gap()) == 420 and d.channels[0].active
 
 
 def test_good_readings_weigh_one_and_gross_ones_nothing():
