@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from contextlib import nullcontext
 from dataclasses import asdict
 from hashlib import sha256
 from importlib.metadata import distributions
@@ -26,29 +27,40 @@ LONGEST = (
     "plan/test_calibrated_plan.py",
     "diagnose/test_diagnosis_tracker.py",
     "diagnose/test_diagnosis_force.py",
+    "test_hostile_inputs.py",
     "simulate/test_simulate_command.py",
     "calibrate/test_force_fit.py",
-    "experiments/test_experiments.py",
-    "api/test_examples.py",
-    "test_hostile_inputs.py",
     "diagnose/test_diagnosis_force_waves.py",
     "plan/test_report.py",
-    "plan/test_plan_command.py",
-    "diagnose/test_planned_force.py",
-    "plan/test_optimal_control.py",
-    "plan/test_night.py",
-    "plan/test_wanted.py",
-    "cell/test_cell_command.py",
-    "poses/test_poses_command.py",
-    "blindtest/test_blindtest.py",
     "trajectories/test_blade_parts.py",
-    "diagnose/test_both_signals.py",
-    "calibrate/test_calibration_report.py",
-    "calibrate/test_calibrate_command.py",
-    "effects/test_effects.py",
-    "diagnose/test_diagnosis_force_worlds.py",
+    "api/test_examples.py",
     "plan/test_effects_plan.py",
-    "plan/test_rigid_mount.py",
+    "plan/test_plan_command.py",
+    "plan/test_optimal_control.py",
+    "poses/test_poses_command.py",
+    "calibrate/test_calibration_report.py",
+    "update/test_update_command.py",
+    "experiments/test_experiments.py",
+    "calibrate/test_calibrate_command.py",
+    "diagnose/test_diagnosis_kernels.py",
+    "diagnose/test_shrinkage.py",
+    "cell/test_cell_command.py",
+    "blindtest/test_blindtest.py",
+    "plan/test_wanted.py",
+    "plan/test_night.py",
+    "diagnose/test_diagnosis_force_worlds.py",
+    "contact/test_signorini.py",
+    "diagnose/test_patch.py",
+    "plan/test_secondary_contact.py",
+    "diagnose/test_planned_force.py",
+    "shell/test_executor.py",
+    "simulate/test_twin_flange_motion.py",
+    "diagnose/test_both_signals.py",
+    "diagnose/test_planted_in_the_twin.py",
+    "robots/test_calibration_mistakes.py",
+    "diagnose/test_diagnose_command.py",
+    "plan/test_dwell.py",
+    "simulate/test_program_mutations.py",
 )
 TESTS = Path(__file__).resolve().parent
 SHARED = Path(__file__).resolve().parents[1].parent / "shared" / "data"
@@ -167,14 +179,13 @@ def small_plan_once(own_cache: None):
 
 
 @pytest.fixture
-def unprinted(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+def unprinted(request: pytest.FixtureRequest) -> Iterator[None]:
     """Commands in this process write no report.pdf and draw no figures on pages, which take as long as all else; but for tests
     marked `drawn`, and what is made for a whole module."""
-    from ocp.report.report import Report
+    from tests.support.small_plan import without_figures
 
-    if request.node.get_closest_marker("drawn") is None:
-        monkeypatch.setattr(Report, "write_pdf", lambda *_: None)
-        monkeypatch.setattr("ocp.report.parts.inline_svg", lambda *_: "<svg></svg>")
+    with nullcontext() if request.node.get_closest_marker("drawn") else without_figures():
+        yield
 
 
 @pytest.fixture(scope="module")

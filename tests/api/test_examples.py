@@ -10,7 +10,9 @@ import pytest
 import ocp.effects
 from ocp.shell.cache import OWN_EFFECTS
 from tests.support.house import ROOT
-from tests.support.small_plan import small_cell
+from tests.support.small_plan import small_cell, without_figures
+
+pytestmark = pytest.mark.usefixtures("unprinted")  # figures are drawn by the tests of each command
 
 EXAMPLES = ROOT / "docs" / "examples"
 
@@ -29,7 +31,8 @@ def planned(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     """Folder of example 1's plan, and its cell."""
     folder = tmp_path_factory.mktemp("examples")
     cell = small_cell(folder / "cell")
-    result = example(1).main(folder / "plan", blade=cell.parent / "blade.stl", cell=cell, step=2e-3)
+    with without_figures():
+        result = example(1).main(folder / "plan", blade=cell.parent / "blade.stl", cell=cell, step=2e-3)
     assert result.readback.force_error < 0.1
     assert (result.folder / "report.html").is_file() and "safe to use" in result.line
     return result.folder, cell
@@ -43,7 +46,7 @@ def test_a_plan_is_rehearsed(planned, solved_once, tmp_path):
     assert abs(after["found_N"] - result.rehearsal.figures["mean_N"]) < 4 * after["found_sd_N"] < 0.8 * after["expected_sd_N"] * 4
 
 
-def test_readings_calibrate_an_arm(unprinted, tmp_path):
+def test_readings_calibrate_an_arm(tmp_path):
     result = example(2).main(tmp_path, poses=30)
     table = result.tracker.methods
     assert table.error["full"].mean() < 0.2 * table.before.mean()

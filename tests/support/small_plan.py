@@ -19,6 +19,7 @@ from ocp.data import BLADE, CELL
 from ocp.plan import files
 from ocp.plan.__main__ import app
 from ocp.plan.report.pages import plan_pages
+from ocp.report.report import Report
 
 ROOT = Path(__file__).resolve().parents[2]
 TEXT = (CELL).read_text()
@@ -95,6 +96,15 @@ def undrawn() -> Iterator[None]:
     still put together."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(files, "write_plan_report", lambda report, folder: plan_pages(report))
+        yield
+
+
+@contextlib.contextmanager
+def without_figures() -> Iterator[None]:
+    """Pages of any command in this process without their figures, and no report.pdf: they take as long as all else."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Report, "write_pdf", lambda *_: None)
+        patch.setattr("ocp.report.parts.inline_svg", lambda *_: "<svg></svg>")
         yield
 
 
