@@ -44,7 +44,7 @@ def folder_with(folder, scale):
 
 
 @pytest.fixture(scope="module")
-def channels(tmp_path_factory):
+def channels(solved_once, tmp_path_factory):
     if not WORLDS.is_dir():
         pytest.skip("no ../shared/data/worlds")
     return channels_of(read_data_set(folder_with(tmp_path_factory.mktemp("both") / "off", SCALE)), Phases())
