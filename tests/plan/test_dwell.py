@@ -53,6 +53,12 @@ def cell():
     return replace(cell, process=replace(cell.process, side="convex", root_margin=0.025))  # where the wheel has room
 
 
+@pytest.fixture(scope="module")
+def laid(cell):
+    """Lines and feeds of the cell as it is."""
+    return lay_paths(cell, cell.workpiece.stl, OPTIONS)
+
+
 def driven(cell, paths: list[BladePath], patches) -> ContactRows:
     """Every path at its feed and force, leading in and out straight on for a patch's half-length."""
     parts = []
@@ -78,8 +84,7 @@ def judged(cell, laid):
     return figures_of(sides), patches
 
 
-def test_lines_and_feeds_make_the_surface_even(cell):
-    laid = lay_paths(cell, cell.workpiece.stl, OPTIONS)
+def test_lines_and_feeds_make_the_surface_even(cell, laid):
     figures, patches = judged(cell, laid)
     assert figures.core_within_5 > 0.93 and figures.core_within_10 > 0.99
     assert figures.all_within_10 > 0.91 and figures.most < 1.1 and figures.ground_share > 0.96
@@ -102,13 +107,12 @@ def test_without_it_lines_are_as_far_apart_as_asked_and_not_even(cell):
     assert figures.core_within_10 < 0.5
 
 
-def test_the_depth_per_area_stays_when_more_lines_are_asked_for(cell):
+def test_the_depth_per_area_stays_when_more_lines_are_asked_for(cell, laid):
     """Half the spacing at twice the feed asks for the same depth: the same lines at the same feeds."""
-    one = lay_paths(cell, cell.workpiece.stl, OPTIONS)
     process = replace(cell.process, pass_spacing=0.5 * cell.process.pass_spacing, feed=2 * cell.process.feed)
     other = lay_paths(replace(cell, process=process), cell.workpiece.stl, OPTIONS)
-    assert len(other.paths) >= len(one.paths)
-    speed = [np.mean([1 / path.feed.mean() for path in laid.paths]) * len(laid.paths) for laid in (one, other)]
+    assert len(other.paths) >= len(laid.paths)
+    speed = [np.mean([1 / path.feed.mean() for path in one.paths]) * len(one.paths) for one in (laid, other)]
     assert speed[1] == pytest.approx(speed[0], rel=0.03)
 
 
@@ -144,7 +148,7 @@ def test_a_line_that_begins_on_the_outline_of_its_wall_is_judged_by_the_rest(cel
     assert patches.at[0] > flat.s[0] and patches.half_axes[:, 1].min() > 3e-3
 
 
-def test_round_lines_are_not_turned_and_those_of_a_side_all_alike(cell):
+def test_round_lines_are_not_turned_and_those_of_a_side_all_alike(cell, laid):
     look = PassOptions(spacing=6e-3, step=6e-3, clamp_normal=(0.0, 0.0, 1.0), clamp_offset=0.01)
     blade = read_blade(cell.workpiece.stl)
     shape = find_shape(blade, cell.workpiece.aerofoil)
@@ -152,8 +156,7 @@ def test_round_lines_are_not_turned_and_those_of_a_side_all_alike(cell):
     assert {one.turn for one in looked if one.side == "convex"} == {0.0}
     (hollow,) = {one.turn for one in looked if one.side == "concave"}
     assert abs(hollow) > 0.6 * cell.process.turn_tolerance
-    laid = lay_paths(cell, cell.workpiece.stl, OPTIONS).paths
-    again = askew([replace(path, turn=0.0) for path in laid], looked)
+    again = askew([replace(path, turn=0.0) for path in laid.paths], looked)
     assert all(path.turn in {one.turn for one in looked if one.side == path.side} for path in again)
     round_ = replace(bar_pass(radius=0.012), side="convex")
     assert [one.turn for one in probed_lines(cell, wheel_cover(cell), [round_])[1]] == [0.0]

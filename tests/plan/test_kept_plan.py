@@ -8,21 +8,23 @@ from types import SimpleNamespace
 import pytest
 
 from ocp.plan import interface, kept
+from ocp.plan.__main__ import app
 from ocp.plan.kept import KeptPlan, PlanKey
 from ocp.shell.cache import OWN_EFFECTS
 from robots.errors import BadInput
-from tests.support.small_plan import STEP, planned, tree
+from tests.support.small_plan import STEP, called, planned, tree
 
 KEEP, WRITTEN_AGAIN = PlanKey.keep, PlanKey.written_again  # as they are outside the tests (tests/conftest.py)
 
 
-def test_the_same_command_again_writes_the_same_bytes_and_says_so(small_plan_once, tmp_path):
+def test_the_same_command_again_writes_the_same_bytes_and_says_so(small_plan_once, tmp_path, monkeypatch):
     folder, told = small_plan_once
     again = planned(folder, "--cell", "cell.toml", *STEP, "--out", str(tmp_path / "again"))
     assert again.code == 0 and "nothing that it depends on has changed" in again.err
     assert tree(tmp_path / "again") == tree(folder / "plan")
     assert again.out == told.out.replace("plan:", f"{tmp_path / 'again'}:", 1).replace("plan/", f"{tmp_path / 'again'}/")
-    refused = planned(folder, "--cell", "cell.toml", *STEP, "--out", str(tmp_path / "again"))
+    monkeypatch.setattr(PlanKey, "written_again", WRITTEN_AGAIN)
+    refused = called(app, folder, "--cell", "cell.toml", *STEP, "--out", tmp_path / "again")
     assert refused.code == 2 and "is not empty" in refused.err
 
 

@@ -695,15 +695,17 @@ def sentence(text: str, folder: Path) -> bool:
     return text.replace(str(folder), "").isprintable() and len(text.replace(str(folder), "")) < 900
 
 
+WORDS = st.one_of(st.text(max_size=60), st.floats().map(repr), st.integers().map(str), st.from_regex(r"\A[-+.\deE_]{1,30}\Z"))
+
+
 def texts(reader: HostileReader, folder: Path, count: int, seed: int, tell: Callable[[str, bytes], None]) -> None:
     """`count` inputs in which hypothesis writes a value or a name of the file anew; `tell` is given what came of each."""
     data = valid(reader)[reader.file]
     places = [m.span() for m in re.finditer(rb"[^\s,=\[\]{}]+", data)]
-    words = st.one_of(st.text(max_size=60), st.floats().map(repr), st.integers().map(str), st.from_regex(r"\A[-+.\deE_]{1,30}\Z"))
 
     @hypothesis_seed(seed)
     @settings(max_examples=count, database=None, deadline=None, suppress_health_check=list(HealthCheck), phases=[Phase.generate])
-    @given(st.sampled_from(places), words)
+    @given(st.sampled_from(places), WORDS)
     def run(place: tuple[int, int], word: str) -> None:
         changed = data[: place[0]] + word.encode("utf-8", "surrogatepass") + data[place[1] :]
         tell(outcome(reader, folder, changed), changed)
