@@ -178,8 +178,7 @@ def test_faulty_arguments_are_refused(tmp_path, monkeypatch, name):
 
 
 def test_usage_errors_are_one_sentence_too(tmp_path):
-    for arguments in (["--step", "abc"], ["--bogus"], ["a.stl", "b.stl"]):
-        told = planned(tmp_path, *arguments)
+    for told in (planned(tmp_path, "--step", "abc"), planned(tmp_path, "--bogus"), refused("a.stl", "b.stl")):
         assert told.code == 2 and told.err.count("\n") == 1 and told.err.startswith("refused: "), told
 
 

@@ -1,6 +1,7 @@
 """Mistakes with readings are named, each for what it is; sound readings pass."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from robots.tracker_readings import ROTATION
 from tests.support.simulated_campaign import EXTRA, INSTRUMENT, PAYLOADS, campaign_readings, measured, random_truth
 
 
+@cache
 def campaign() -> Campaign:
     rng = np.random.default_rng(4)
     return Campaign(EXTRA, measured(random_truth(rng), campaign_readings(rng, 60), rng, 0.02), PAYLOADS, INSTRUMENT)
@@ -90,6 +92,7 @@ def test_many_readings_far_off_are_not_called_outliers():
         refuse_mistakes(replace(c, readings=replace(c.readings, point=point)))
 
 
+@cache
 def sixfold() -> tuple[Campaign, np.ndarray]:
     """A sound campaign of one 6D target, and its orientations (n, 3, 3)."""
     rng = np.random.default_rng(3)
@@ -101,10 +104,13 @@ def sixfold() -> tuple[Campaign, np.ndarray]:
     return Campaign(EXTRA, replace(readings, turn=turn), PAYLOADS, INSTRUMENT), turn
 
 
+def test_sound_orientations_pass():
+    refuse_mistakes(sixfold()[0])
+
+
 @pytest.mark.parametrize("order", ROTATION_ORDERS)
-def test_orientations_in_another_convention_are_told_and_sound_ones_pass(order):
+def test_orientations_in_another_convention_are_told(order):
     sound, turn = sixfold()
-    refuse_mistakes(sound)
     letters, kind = order.split("_")
     turned = Rotation.from_matrix(turn).as_euler(letters.upper() if kind == "intrinsic" else letters)
     angles = turned[:, np.argsort(["xyz".index(c) for c in letters])] if len({*letters}) == 3 else turned
