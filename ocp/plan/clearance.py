@@ -84,12 +84,17 @@ class CollisionScene:
         self.cell, self._vertices = cell, blade_vertices
         self._bodies = _bodies(cell, blade_vertices)
         self._pairs = _pairs(self._bodies)
-        self._frame = [body.frame for body in self._bodies]
-        self._placement = np.array([body.placement for body in self._bodies])
         self._latest: dict[tuple[bytes, bool], tuple[Array, list[tuple[str, str]]]] = {}
 
     def __reduce__(self) -> tuple[Any, ...]:
         return CollisionScene, (self.cell, self._vertices)
+
+    @cached_property
+    def _balls(self) -> tuple[list[int], Array, Array, Array]:
+        """Of all bodies: frame, placement (b, 4, 4) in it, centre (b, 3) and radius (b,) m of the ball about it."""
+        bodies = self._bodies
+        middle, radius = (np.array([body.ball[k] for body in bodies]) for k in (0, 1))
+        return [body.frame for body in bodies], np.array([body.placement for body in bodies]), middle, radius
 
     def clearances(self, q: Array, in_contact: bool) -> tuple[Array, list[tuple[str, str]]]:
         """Distance minus margin of the closest pair at joints q (n, 6): values (n,) m and the bodies' names. Those asked for last
@@ -102,10 +107,11 @@ class CollisionScene:
     def _measured(self, q: Array, in_contact: bool) -> tuple[Array, list[tuple[str, str]]]:
         request = coal.DistanceRequest()
         request.enable_signed_distance = True
+        frame, placement, *_ = self._balls
         links = link_frames(self.cell.robot, np.atleast_2d(q))
-        frames = np.concatenate([links, np.broadcast_to(np.eye(4), (len(links), 1, 4, 4))], axis=1)[:, self._frame]
+        frames = np.concatenate([links, np.broadcast_to(np.eye(4), (len(links), 1, 4, 4))], axis=1)[:, frame]
         pairs = [p for p in self._pairs if not (in_contact and p.off_contact)]
-        least, poses = self._least(frames, pairs), frames @ self._placement
+        least, poses = self._least(frames, pairs), frames @ placement
         values, names = np.full(len(frames), np.inf), [("", "")] * len(frames)
         for k, nearest in enumerate(np.argsort(least, axis=1, kind="stable")):
             placed: dict[int, coal.Transform3s] = {}
@@ -126,8 +132,8 @@ class CollisionScene:
     def _least(self, frames: Array, pairs: list[BodyPair]) -> Array:
         """What distance minus margin (n, pairs) m cannot be less than, by the balls about the bodies, for their frames
         (n, bodies, 4, 4)."""
-        centre = apply(frames, np.array([body.ball[0] for body in self._bodies]))
-        radius = np.array([body.ball[1] for body in self._bodies])
+        _, _, middle, radius = self._balls
+        centre = apply(frames, middle)
         a, b = np.array([(pair.a, pair.b) for pair in pairs]).T
         reach = radius[a] + radius[b] + np.array([pair.margin for pair in pairs])
         return np.asarray(np.linalg.norm(centre[:, a] - centre[:, b], axis=2) - reach)
