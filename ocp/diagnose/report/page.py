@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from ocp.diagnose.report.evidence import evidence_section
 from ocp.diagnose.report.verdict_sentence import SHORT, diagnosis_headline, effect_words, figure, shrinkage_words
 from ocp.diagnose.report.where import draw_bars, where_section
-from ocp.diagnose.verdict.answer import Answer, SignalGap, figures, there_of
+from ocp.diagnose.verdict.answer import Answer, SignalGap, figures
 from ocp.diagnose.verdict.shrinkage import NONE
 from ocp.report.parts import Plot, Points, Table, made_from, table
 from ocp.report.plotting import Canvas, dots, dressed, inline_svg, panels
@@ -109,7 +109,7 @@ def shrinkage_plot(gap: SignalGap) -> Plot:
     rows = len(_folds(gap))
     caption = (
         f"How much of the {SHORT[gap.name]} gap beyond noise the named effects take away. Bar: to be expected "
-        f"{there_of(gap.asked)}, with the 90 % interval. Dots: conditions left out of the fit as a whole; left of zero the "
+        f"{gap.there}, with the 90 % interval. Dots: conditions left out of the fit as a whole; left of zero the "
         "effects would do harm."
     )
     return Plot(f"shrinkage-{gap.name}", caption, 0.75 + 0.17 * rows, lambda canvas: _draw_shrinkage(canvas, gap))
@@ -132,7 +132,7 @@ def _draw_shrinkage(canvas: Canvas, gap: SignalGap) -> None:
     dots(ax, np.maximum([v for _, v in folds], low), place, BEFORE, 4)
     for y, (_, v) in zip(place, folds, strict=True):
         ax.text(1.04, y, f"{round(100 * v)} %", fontsize=6.5, va="center", color=SOFT, clip_on=False)
-    names = [f"expected {there_of(gap.asked)}", *(shorten(f"without {name}", 34) for name, _ in folds)]
+    names = [f"expected {gap.there}", *(shorten(f"without {name}", 34) for name, _ in folds)]
     ax.set_yticks([0, *place], names, fontsize=6.5)
     ax.set_xlim(low - 0.02, 1.02)
     ax.axvline(0, color=RULE, lw=0.8)

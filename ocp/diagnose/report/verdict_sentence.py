@@ -216,7 +216,7 @@ def _levels(answer: Answer) -> str:
 
 def _promise(answer: Answer) -> str:
     told = [
-        f"{shrinkage_words(gap.shrinkage)} of the {SHORT[gap.name]} gap should be gone {there_of(gap.asked)}, "
+        f"{shrinkage_words(gap.shrinkage)} of the {SHORT[gap.name]} gap should be gone {gap.there}, "
         f"{shrinkage_words(gap.promise[ANOTHER_DAY])} on another day"
         for gap in answer.gaps
         if gap.shrinkage is not None and gap.shrinkage != NONE
@@ -272,7 +272,7 @@ def _better(answer: Answer) -> str:
                 "; what has no name is in that noise" if unknown else "; the gap is too small beside it to speak of shrinking"
             )
         elif gap.shrinkage != NONE:
-            words += f"; {there_of(gap.asked)} {shrinkage_words(gap.shrinkage)} of the gap beyond noise should be gone"
+            words += f"; {gap.there} {shrinkage_words(gap.shrinkage)} of the gap beyond noise should be gone"
         parts.append(words)
     return "; ".join(parts)
 

@@ -41,6 +41,11 @@ class SignalGap:
     corrected: Channel
     asked: bool = False
 
+    @property
+    def there(self) -> str:
+        """Of what the shrinkage is promised."""
+        return there_of(self.asked)
+
 
 @dataclass(frozen=True)
 class Unnamed:
