@@ -7,13 +7,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from ocp.calibrate.force.blade import CORRECTION
 from ocp.calibrate.force.fit import BIAS
-from ocp.calibrate.force.log import ForceLog, log_mark, steady_rows, without_ramps
-from ocp.calibrate.force.registration import ForceFit, fit_force
+from ocp.calibrate.force.log import ForceLog, is_known, log_mark, steady_rows, without_ramps
+from ocp.calibrate.force.registration import RECORDINGS, ForceFit, fit_force
 from ocp.calibrate.force.rows import ForceSetup, prepare_force
 from ocp.calibrate.interface import logged_cell
 from ocp.model.cell import Cell, cell_tables_for, files_of
@@ -189,12 +190,13 @@ def update(
         if "flange" in parts and believed.flange is None:
             raise BadInput(f"--changed flange: {cell_file} has no [force_flange]; leave it out")
         history = history_of(believed.calibration, cell_file)
-        mark = log_mark(log)
-        if {mark, sha256(log_file)} & set(history.logs):  # the file's own hash: of updates before logs were known by content
-            raise BadInput(f"{log_file}: an earlier update used this log already; give the log of the blade ground since")
-        known = {} if believed.calibration is None else believed.calibration.provenance.get("data_sha256", {})
-        if sha256(log_file) in known.values():
-            raise BadInput(f"{log_file}: the cell was calibrated with this log; give the log of the blade ground since")
+        mark = log_mark(without_ramps(log))
+        if is_known(mark, history.logs):
+            raise BadInput(f"{log_file}: an earlier update used recordings of this log; give the log of the blade ground since")
+        if is_known(mark, [_force_told(believed.calibration).get(RECORDINGS, "")]) or _made_from(believed.calibration, log_file):
+            raise BadInput(
+                f"{log_file}: the cell was calibrated with recordings of this log; give the log of the blade ground since"
+            )
         with phases.phase("contact"):
             setup = prepare_force(replace(believed, calibration=None), [log])
         with phases.phase("fit"):
@@ -258,10 +260,21 @@ def _state_holds(cell: Cell, log: ForceLog, history: History) -> float | None:
     return told if told is not None and log.clock is not None and told <= log.clock.min() else None
 
 
-def _force_figures(calibration: Calibration | None) -> dict[str, float]:
-    """The numbers that a calibration tells of its force log; none where it was edited into something else."""
+def _made_from(calibration: Calibration | None, file: Path) -> bool:
+    """Whether a calibration was made from these very bytes: those of before logs were known by content tell no more."""
+    hashes = {} if calibration is None else calibration.provenance.get("data_sha256", {})
+    return isinstance(hashes, dict) and sha256(file) in hashes.values()
+
+
+def _force_told(calibration: Calibration | None) -> dict[str, Any]:
+    """What a calibration tells of its force log; nothing where it was edited into something else."""
     told = None if calibration is None else calibration.provenance.get("force")
-    return {k: float(v) for k, v in (told if isinstance(told, dict) else {}).items() if is_number(v)}
+    return told if isinstance(told, dict) else {}
+
+
+def _force_figures(calibration: Calibration | None) -> dict[str, float]:
+    """The numbers of it."""
+    return {k: float(v) for k, v in _force_told(calibration).items() if is_number(v)}
 
 
 def _fitted(cell: Cell, log: ForceLog, setup: ForceSetup, expected: Calibration, earlier: np.ndarray) -> tuple[ForceFit, Verdict]:

@@ -11,6 +11,8 @@ from ocp.calibrate.force.log import (
     LEAST_ROWS,
     STILL,
     UNITS_APART,
+    is_known,
+    log_mark,
     read_force_log,
     refuse_few_rows,
     refuse_force_unit,
@@ -307,3 +309,31 @@ def test_without_a_feed_the_points_tell_it(tmp_path):
 def test_a_log_of_nothing_but_touch_and_lift_is_refused(tmp_path):
     with pytest.raises(BadInput, match="column feed_mm_s: no run keeps its feed for longer than wheel and blade take"):
         without_ramps(read(tmp_path, ramped([5.0, 20.0, 40.0, 20.0, 5.0])))
+
+
+@pytest.mark.parametrize("factor", [1e3, 1 / 60, 1 / 3600])
+def test_a_clock_in_another_unit_than_the_times_is_refused(tmp_path, factor):
+    def clocked(times, slow=1.0, gap=30.0):
+        """Three recordings."""
+        told = [rows(90, run=run, fn_N=20.0 + k, clock_s=gap * k) for k, run in enumerate("abc")]
+        for k, row in enumerate(row for one in told for row in one):
+            row["fn_N"] += 0.001 * (k % 7)
+            row["time_s"] *= slow
+            row["clock_s"] += times * row["time_s"]
+        return [row for one in told for row in one]
+
+    assert len(read(tmp_path, clocked(1.0))) == 270
+    with pytest.raises(BadInput, match="column clock_s: .* counts .* s where time_s counts 0.89 s in this run"):
+        read(tmp_path, clocked(factor))
+    coarse = [row | {"clock_s": float(int(row["clock_s"]))} for row in clocked(1.0, slow=3.0)]
+    assert len(read(tmp_path, coarse)) == 270  # whole seconds say no more
+    with pytest.raises(BadInput, match="counts 0.002 s from the first recording to the last, and those before it take 17.8 s"):
+        read(tmp_path, clocked(0.0, slow=10.0, gap=1e-3))
+
+
+def test_recordings_are_known_again_by_how_they_begin(tmp_path):
+    table = [row | {"run": run, "fn_N": 20.0 + k} for run in "abc" for k, row in enumerate(rows(30))]
+    table = [row | {"fn_N": row["fn_N"] + 0.1 * ord(row["run"])} for row in table]
+    mark = log_mark(read(tmp_path, table))
+    assert is_known(log_mark(read(tmp_path, table[:-1])), [mark]) and is_known(log_mark(read(tmp_path, table[60:])), ["", mark])
+    assert not is_known(log_mark(read(tmp_path, [row | {"fn_N": row["fn_N"] + 1e-3} for row in table])), [mark])

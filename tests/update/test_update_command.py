@@ -124,12 +124,12 @@ def test_the_second_update_begins_where_the_first_ended(done):
 
 
 def test_a_log_is_used_once(done):
-    with pytest.raises(BadInput, match="an earlier update used this log already"):
+    with pytest.raises(BadInput, match="an earlier update used recordings of this log"):
         update(done.folder / "next.csv", cell=done.folder / "second" / "cell.toml", out=done.folder / "third")
     lines = (done.folder / "next.csv").read_bytes().replace(b"\r\n", b"\n")
     (done.folder / "unix.csv").write_bytes(lines)
     assert lines != (done.folder / "next.csv").read_bytes()
-    with pytest.raises(BadInput, match="an earlier update used this log already"):
+    with pytest.raises(BadInput, match="an earlier update used recordings of this log"):
         update(done.folder / "unix.csv", cell=done.folder / "second" / "cell.toml", out=done.folder / "third")
     # A calibration says by what files it was made.
     other, known = done.folder / "other.csv", done.folder / "known"
@@ -138,7 +138,7 @@ def test_a_log_is_used_once(done):
     calibration = read_calibration(known / "calibration.toml")
     told = calibration.provenance | {"data_sha256": {"force.csv": hashlib.sha256(other.read_bytes()).hexdigest()}}
     write_calibration(known / "calibration.toml", replace(calibration, provenance=told))
-    with pytest.raises(BadInput, match="the cell was calibrated with this log"):
+    with pytest.raises(BadInput, match="the cell was calibrated with recordings of this log"):
         update(other, cell=known / "cell.toml", out=done.folder / "third")
     assert not (done.folder / "third").exists()
 

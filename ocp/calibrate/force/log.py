@@ -1,6 +1,7 @@
 """A grinding-force log as recorded: axes, planned contact points, forces and conditions (FORMATS, force.csv)."""
 
 import hashlib
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -51,6 +52,10 @@ AIR_SHARE = 0.15  # of the log's usual force, below which a row without `contact
 AIR_WINDOW = 9  # rows over whose median that is judged
 STILL = 100  # rows in contact after the first of their recording: one that never changes over more of them is no reading
 LEAST_ROWS = 20  # in contact that follow another of their recording: a sensor's noise is known to a quarter of itself by so many
+COARSE = 2.0  # s a recording: how long it takes is not known better
+SKEWED = 0.05  # of a time by which two clocks may differ; minutes and milliseconds are farther apart
+WORDS = 8  # of a log that are remembered
+MARKED = 20  # rows of a recording by which it is told again
 COPIED = 5  # rows from which a recording that is another's to the last digit is its copy
 STEADY = 0.75  # of a run's usual largest feed, up to which wheel and blade meet
 SETTLING = 0.08  # s after that: three time constants and the delay of a flange of 10 Hz and 10 ms
@@ -128,6 +133,7 @@ def log_of_table(table: CsvTable, sealed: bool) -> ForceLog:
     if "clock_s" in table.numbers:  # one value a recording will do
         table.check_order("clock_s", run, runs, strictly=False)
         _check_running(table, "clock_s", [np.arange(len(table))])
+        _check_clock(table, run)
     fn = np.full(len(table), np.nan) if sealed else table.numbers["fn_N"]
     known = {*table.numbers, *table.words, *(("contact", "ft_N") if sealed else ())}
     blind = [f"{table.path.name}: no column {c}: {text}" for c, text in BLIND.items() if c not in known]
@@ -174,11 +180,19 @@ def refuse_few_rows(log: ForceLog) -> None:
 
 
 def log_mark(log: ForceLog) -> str:
-    """SHA-256 of what a log tells, whatever its line endings or the order of its columns."""
-    told = hashlib.sha256()
-    for values in (log.run, log.time, log.q, log.p, log.fn):
-        told.update(np.ascontiguousarray(values).tobytes())
-    return told.hexdigest()
+    """Words that tell recordings of a log again: of postures, points and forces where each comes into contact, whatever line
+    endings, the order of columns, or rows taken off at the end; the least ones, which a part of the log mostly has too."""
+    words = []
+    for i in np.unique(log.run[log.contact]):
+        at = np.flatnonzero((log.run == i) & log.contact)[:MARKED]
+        told = np.column_stack([log.q[at], log.p[at], log.fn[at]])
+        words.append(hashlib.sha256(np.ascontiguousarray(told).tobytes()).hexdigest()[:12])
+    return " ".join(sorted(words)[:WORDS])
+
+
+def is_known(mark: str, marks: Iterable[str]) -> bool:
+    """Whether any of a log's recordings is in one of these marks."""
+    return not {*mark.split()}.isdisjoint(word for one in marks for word in one.split())
 
 
 def steady_rows(log: ForceLog) -> Flags:
@@ -349,6 +363,23 @@ def _check_running(table: CsvTable, column: str, parts: list[Index]) -> None:
     long = [at for at in parts if len(at) > STILL]
     if long and all(np.ptp(table.numbers[column][at]) == 0 for at in long):
         raise table.refuse(int(long[0][-1]), column, "stands still throughout; give a time that runs")
+
+
+def _check_clock(table: CsvTable, run: Index) -> None:
+    """Raises BadInput: a clock in another unit than the times, or one by which the recordings overlap."""
+    time, clock = table.numbers["time_s"], table.numbers["clock_s"]
+    rows = [np.flatnonzero(run == i) for i in range(int(run.max()) + 1)]
+    tick = float(np.diff(np.unique(clock)).min(initial=np.inf))
+    for at in rows:
+        went, counted = float(np.ptp(time[at])), float(np.ptp(clock[at]))
+        if counted > 0 and abs(counted - went) > 2.0 * tick + SKEWED * went:
+            why = f"counts {counted:.6g} s where time_s counts {went:.6g} s in this run; give both in seconds"
+            raise table.refuse(int(at[-1]), "clock_s", why)
+    rows.sort(key=lambda at: float(clock[at[0]]))
+    recorded, span = sum(float(np.ptp(time[at])) for at in rows[:-1]), float(clock[rows[-1][0]] - clock[rows[0][0]])
+    if recorded > COARSE * len(rows) + (1.0 + SKEWED) * span:
+        why = f"counts {span:.6g} s from the first recording to the last, and those before it take {recorded:.6g} s; give seconds"
+        raise table.refuse(int(rows[-1][0]), "clock_s", why)
 
 
 def _check_copies(table: CsvTable, fn: Array, run: Index, runs: tuple[str, ...]) -> None:

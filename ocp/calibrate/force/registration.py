@@ -8,7 +8,7 @@ import numpy as np
 
 from ocp.calibrate.force.assessment import HeldOutForce, directions_seen, held_out_blocks, not_identified
 from ocp.calibrate.force.fit import BIAS, FIT_NAMES, ForceSolution, force_prior, solve_force_log
-from ocp.calibrate.force.log import Flags, ForceLog, refuse_few_rows
+from ocp.calibrate.force.log import Flags, ForceLog, log_mark, refuse_few_rows
 from ocp.calibrate.force.rows import ForceSetup, prepare_force
 from ocp.model.cell import Cell
 from robots.calibration.carried import carried_over
@@ -17,6 +17,7 @@ from robots.calibration.store import Calibration
 from robots.errors import Infeasible
 from robots.pose import Array
 
+RECORDINGS = "recordings"  # key of a calibration's provenance.force: the log's mark
 SIGMAS = 5.0  # an innovation beyond this many is told to the user
 
 RUNS_APART = 0.1  # of the force asked for; 0.05 mm of an arm on a flange of 6 N/mm are 0.3 N
@@ -92,7 +93,7 @@ class ForceFit:
         cell = self.setup.model.cell
         reasons = self.not_identified if robot is None else robot.not_identified | self.not_identified
         provenance = {} if robot is None else dict(robot.provenance)
-        provenance["force"] = {name: value for name, value in vars(self.figures).items()}
+        provenance["force"] = {**vars(self.figures), RECORDINGS: log_mark(self.log)}
         if self.log.clock is not None:
             provenance["force"]["clock_s"] = float(self.log.clock.max())
         own = Calibration(cell.robot.name, self.names, self.values, self.covariance, provenance, reasons, self.notices)
