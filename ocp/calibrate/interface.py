@@ -13,7 +13,7 @@ import numpy as np
 from ocp.calibrate.force.log import ForceLog, read_force_log, refuse_force_unit, without_ramps
 from ocp.calibrate.force.registration import fit_force, refuse_other_force
 from ocp.calibrate.report.pages import contact_sections, write_calibration_report
-from ocp.calibrate.tracker import TrackerCalibration, as_calibration, calibrate_tracker
+from ocp.calibrate.tracker import CLEARLY, TrackerCalibration, as_calibration, calibrate_tracker, doubts_about
 from ocp.model.cell import Cell, cell_tables_for, files_of, read_cell, with_calibration
 from ocp.model.columns import TABLES
 from ocp.report.section import Section
@@ -96,6 +96,13 @@ def _calibrated(
             f"{path}: by method {made.method} left-out readings are met within {1e3 * methods.error[made.method].mean():.3f} mm "
             f"on average, {-1e3 * gain:.3f} +- {1e3 * half:.3f} mm worse than by the arm as believed "
             f"({1e3 * methods.before.mean():.3f} mm), so nothing is to be gained by it; {_remedy(made)}"
+        )
+    after = methods.error[made.method].mean()
+    if methods.earlier is not None and methods.earlier.mean() < CLEARLY * after:
+        raise Infeasible(
+            f"{path}: left-out readings are met within {1e3 * after:.3f} mm on average, by the calibration that the cell has "
+            f"already within {1e3 * methods.earlier.mean():.3f} mm, so nothing is to be gained by it; {_remedy(made)}, or take "
+            "robot.calibration out of the cell to begin anew"
         )
     calibration, extra = tracker_calibration(made, inputs), list[Section]()
     if ground is None and (kept := carried_over(calibration, made.setup.calibration)) is not calibration:
@@ -184,7 +191,9 @@ def _use(made: TrackerCalibration, out: Path) -> str:
         return f"Nothing gained: it meets left-out readings as the arm as believed does, within {1e3 * half:.3f} mm"
     if errors.mean() > 1.5 * full.mean():
         return f"Method full meets the same readings within {1e3 * full.mean():.3f} mm: use that one"
-    return f"{out / 'cell.toml'} is the cell with it, for ocp.plan"
+    told = f"{out / 'cell.toml'} is the cell with it, for {'ocp.plan' if made.setup.tables.workpiece else 'ocp.diagnose'}"
+    doubts = doubts_about(made)
+    return f"With doubts: {' '.join(doubts)} {told}" if doubts else told
 
 
 def tracker_calibration(made: TrackerCalibration, inputs: Sequence[Path]) -> Calibration:

@@ -10,11 +10,12 @@ import numpy as np
 from ocp.effects.effect import Active
 from ocp.effects.engine.readings import effects_on, has_columns, shown_in, without_effects
 from ocp.model.cell import TrackerSetup, read_tracker_setup
+from ocp.shell.cache import sha256
 from ocp.shell.progress import Phases
 from robots.calibration.evidence import Term, choose_terms
-from robots.calibration.fit import Fit, fit_campaign, fit_learned, predict_readings, predictive_covariance
+from robots.calibration.fit import Fit, fit_campaign, fit_learned, located, predict_readings, predictive_covariance
 from robots.calibration.identifiability import Identifiability, described, identify
-from robots.calibration.layout import Choice, Layout, State
+from robots.calibration.layout import Choice, Layout, State, nominal_state
 from robots.calibration.load_tests import LoadTest, load_test
 from robots.calibration.methods import METHODS, before, calibrate_by
 from robots.calibration.mistakes import refuse_mistakes, refuse_units
@@ -24,7 +25,7 @@ from robots.calibration.reading_model import ARM_NAMES, PAYLOAD_NAMES
 from robots.calibration.residuals import linearise, residuals
 from robots.calibration.solver import Campaign, OpenDirection
 from robots.calibration.store import Calibration
-from robots.calibration.validation import FOLDS, GROSS, FoldErrors, folds, hold_out, validate
+from robots.calibration.validation import FOLDS, GROSS, FoldErrors, by_kind, folds, hold_out, validate
 from robots.column_mapping import ColumnMapping
 from robots.csv_table import OURS
 from robots.errors import BadInput
@@ -39,15 +40,26 @@ LEAST_OF_STATION = 4
 LEAST_TRAVEL = np.radians(5.0)  # an axis that moved less did not move
 BLOCKS = 10  # of readings left out, that the interval of a gain is told by
 SEALED = "sealed_tracker.csv"
+CLEARLY = 0.8  # of the mean error: a method, or the cell's earlier calibration, below it does clearly better
+SURE = 1.5  # error over prediction of a kind of fold above which the stated uncertainties are doubted
+KINDS = {
+    "random": "readings drawn blindly",
+    "region": "a region of the workspace (axes 1 to 3)",
+    "campaign": "a session",
+    "payload": "a payload",
+    "joint range": "the upper half of an axis' range",
+}
 
 
 @dataclass(frozen=True)
 class MethodTable:
-    """Absolute error (m,) m of each method on readings left out, in the same order `rows` (m,), and before calibration; the
-    same as vectors (m, 3) m, measured less predicted in the tracker's frame."""
+    """Absolute error (m,) m of each method on readings left out, in the same order `rows` (m,), before calibration, and by the
+    calibration that the cell had (None: none); the first two as vectors (m, 3) m, measured less predicted in the tracker's frame.
+    """
 
     rows: Array
     before: Array
+    earlier: Array | None
     error: dict[str, Array]
     off_before: Array
     off: dict[str, Array]
@@ -139,7 +151,7 @@ def _calibrate(tracker: Path, cell: Path, method: str, phases: Phases, mapping: 
     with phases.phase("held out"):
         held = validate(full, _refit(method))
     with phases.phase("methods", len(METHODS)) as advance:
-        table = compare_methods(full, advance, held if method == "full" else [])
+        table = compare_methods(full, advance, held if method == "full" else [], _that_saw_others(setup.calibration, tracker))
     linear = linearise(campaign.robot, replace(readings, turn=None), campaign.instrument, full.layout, full.state)
     repeats = repeat_scatter(readings, campaign.instrument, linear.d_joints)
     on_top: Array | float = 0.0
@@ -205,9 +217,11 @@ def as_calibration(
     )
 
 
-def compare_methods(fit: Fit, advance: Callable[[], None], held: Sequence[FoldErrors] = ()) -> MethodTable:
+def compare_methods(
+    fit: Fit, advance: Callable[[], None], held: Sequence[FoldErrors] = (), known: Calibration | None = None
+) -> MethodTable:
     """All methods on the same random folds as `fit`: errors of every reading when it was left out. held: what is known of the
-    method full already."""
+    method full already; known: the cell's own calibration."""
     blocks = [f for f in folds(fit.campaign) if f.kind == "random"][:FOLDS]
     off: dict[str, Array] = {}
     rows = np.array([], int)
@@ -220,9 +234,48 @@ def compare_methods(fit: Fit, advance: Callable[[], None], held: Sequence[FoldEr
     order = np.argsort(rows)
     c = fit.campaign
     off = {method: vectors[order] for method, vectors in off.items()}
-    believed = residuals(c.robot, c.readings, c.instrument, before(c, fit.choice))[rows[order], :3]
+    believed = _off(c, before(c, fit.choice))[rows[order]]
     size = {method: np.linalg.norm(vectors, axis=1) for method, vectors in off.items()}
-    return MethodTable(rows[order], np.linalg.norm(believed, axis=1), size, believed, off)
+    earlier = None if known is None else np.linalg.norm(_off(c, _as_known(c, fit.choice, known))[rows[order]], axis=1)
+    return MethodTable(rows[order], np.linalg.norm(believed, axis=1), earlier, size, believed, off)
+
+
+def _off(c: Campaign, state: State) -> Array:
+    """Vectors (n, 3) m, measured less predicted by a state."""
+    return residuals(c.robot, c.readings, c.instrument, state)[:, :3]
+
+
+def _that_saw_others(known: Calibration | None, tracker: Path) -> Calibration | None:
+    """A calibration, unless it was fitted to these very readings: it meets them too well to be compared."""
+    hashes = {} if known is None else known.provenance.get("data_sha256", {})
+    return None if isinstance(hashes, dict) and sha256(tracker) in hashes.values() else known
+
+
+def _as_known(c: Campaign, choice: Choice, known: Calibration) -> State:
+    """The arm as an earlier calibration has it, the tracker and its nests placed."""
+    state = nominal_state(c.robot, c.readings, c.payloads, c.instrument, choice)
+    arm = state.arm.copy()
+    for i, name in enumerate(ARM_NAMES):
+        if name in known.names:
+            arm[i] = known.values[known.names.index(name)]
+    return located(c, replace(state, arm=arm))
+
+
+def doubts_about(c: TrackerCalibration) -> list[str]:
+    """What speaks against a calibration, in sentences: another method does better, errors above what the model states."""
+    error, words = c.methods.error, []
+    if len(c.methods.rows):
+        after, best = error[c.method], min(error, key=lambda method: float(error[method].mean()))
+        if after.max() > c.methods.before.max():
+            words.append("The worst reading is further off than before.")
+        if error[best].mean() < CLEARLY * after.mean():
+            words.append(f"Method '{best}' does better: {1e3 * error[best].mean():.3f} mm on average.")
+    found = {kind: figures["over_predicted"] for kind, figures in by_kind(c.held_out).items()}
+    return words + [
+        f"Where {KINDS[kind]} is left out, errors are {over:.1f} times what it states."
+        for kind, over in found.items()
+        if over > SURE
+    ]
 
 
 def _refit(method: str) -> Callable[[Campaign, Fit], Fit] | None:

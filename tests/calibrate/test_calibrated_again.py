@@ -19,7 +19,7 @@ from ocp.model.force_balance import build_model
 from ocp.model.theta import believed_theta
 from ocp.shell.progress import Phases
 from robots.calibration.store import Calibration, read_calibration, write_calibration
-from robots.errors import BadInput
+from robots.errors import BadInput, Infeasible
 from robots.gravity import weight_torques
 from tests.support.calibration_example import write_campaign
 from tests.support.example_pass import LineLaw, bundled_cell
@@ -112,3 +112,24 @@ def test_joints_that_are_none_are_refused(tmp_path, joints):
     path.write_text(path.read_text().rstrip() + f"\nbending_joints = {joints}\n")
     with pytest.raises(BadInput, match="bending_joints must be a list of joints 1 to 6"):
         read_calibration(path)
+
+
+def test_a_calibration_that_is_worse_than_the_cells_own_is_not_written(tmp_path):
+    readings, cell = write_campaign(tmp_path), tmp_path / "cell.toml"
+    first = calibrate(readings, cell=cell, out=tmp_path / "first")
+    assert "doubts" not in first.line
+    again = tmp_path / "first" / "cell.toml"
+    assert calibrate(readings, cell=again, out=tmp_path / "again").folder.is_dir()
+    with readings.open(newline="") as file:
+        rows = list(csv.DictReader(file))[::2]
+    noise = np.random.default_rng(1).normal(0.0, 0.2, (len(rows), 3))
+    for row, off in zip(rows, noise, strict=True):
+        row |= {f"{c}_mm": f"{float(row[f'{c}_mm']) + v:.6f}" for c, v in zip("xyz", off, strict=True)}
+    with (tmp_path / "poor.csv").open("w", newline="") as file:
+        writer = csv.DictWriter(file, list(rows[0]))
+        writer.writeheader()
+        writer.writerows(rows)
+    with pytest.raises(Infeasible, match="by the calibration that the cell has already within"):
+        calibrate(tmp_path / "poor.csv", cell=again, out=tmp_path / "worse")
+    assert not (tmp_path / "worse").exists()
+    assert calibrate(tmp_path / "poor.csv", cell=cell, out=tmp_path / "poor").folder.is_dir()

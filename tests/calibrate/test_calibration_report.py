@@ -110,7 +110,7 @@ def bare(c: TrackerCalibration) -> TrackerCalibration:
     """The calibration as if the campaign had been too small for everything that can be absent."""
     none = np.empty((0, 3))
     empty = dict.fromkeys(c.methods.error, np.array([]))
-    methods = MethodTable(np.array([], int), np.array([]), empty, none, dict.fromkeys(empty, none))
+    methods = MethodTable(np.array([], int), np.array([]), None, empty, none, dict.fromkeys(empty, none))
     readings = replace(c.fit.campaign.readings, time=None, temperature=None, approach=None)
     fit = replace(c.fit, campaign=replace(c.fit.campaign, readings=readings))
     seen = replace(c.identifiability, hidden=())

@@ -3,20 +3,13 @@
 import numpy as np
 
 from ocp.calibrate.report.view import held_out_in_base, mm
-from ocp.calibrate.tracker import TrackerCalibration
+from ocp.calibrate.tracker import KINDS, TrackerCalibration
 from ocp.report.parts import Plot, Table, table
 from ocp.report.plotting import Canvas, dots, dressed, keys, log_scale, panels
 from ocp.report.section import Section
 from ocp.report.style import AFTER, BAD, BEFORE, INK, RULE, SIDE_COLOURS, SOFT, printable, shorten
 from robots.calibration.validation import FoldErrors, by_kind
 
-KINDS = {
-    "random": "readings drawn blindly",
-    "region": "a region of the workspace (axes 1 to 3)",
-    "campaign": "a session",
-    "payload": "a payload",
-    "joint range": "the upper half of an axis' range",
-}
 SURPRISING = 3.0  # sigmas by which errors are above what was stated, beyond chance
 COLOURS = {"full": AFTER, "geometry": SIDE_COLOURS[1], "relative": SIDE_COLOURS[3], "relative-literal": "#2a8a7a"}
 HONEST = (0.8, 1.25)  # error over prediction that is drawn as honest

@@ -13,11 +13,11 @@ from ocp.calibrate.force.assessment import pooled_blocks
 from ocp.calibrate.force.fit import FIT_NAMES
 from ocp.calibrate.force.registration import ForceFit
 from ocp.calibrate.report.advice import advice_section
-from ocp.calibrate.report.held_out import KINDS, before_and_after_section, withheld_section
+from ocp.calibrate.report.held_out import before_and_after_section, withheld_section
 from ocp.calibrate.report.parameters import identifiability_section, parameters_section, tellable_parameters, terms_section
 from ocp.calibrate.report.residuals import noise_section, residuals_section
 from ocp.calibrate.report.view import ReadingsView, count_of, look_at, mm, named, present
-from ocp.calibrate.tracker import TrackerCalibration
+from ocp.calibrate.tracker import TrackerCalibration, doubts_about
 from ocp.report.parts import Plot, Points, Table, made_from, table
 from ocp.report.plotting import Canvas, Draw, dressed, keys, panels
 from ocp.report.report import Report
@@ -53,15 +53,11 @@ def write_calibration_report(c: TrackerCalibration, folder: Path, hashes: dict[s
     report.write_pdf(folder / "report.pdf")
 
 
-CLEARLY = 0.8  # of the mean error: a method below it does clearly better
-SURE = 1.5  # error over prediction of a kind of fold above which the stated uncertainties are doubted
-
-
 def calibration_headline(c: TrackerCalibration, view: ReadingsView) -> Headline:
     """Verdict and figures. Without readings left out nothing is proven, and it says so."""
     methods = c.methods
     after = methods.error[c.method]
-    doubts = _doubts(c)
+    doubts = doubts_about(c)
     if not len(after):
         inside = view.error[~view.outlier]
         sentence = (
@@ -77,23 +73,6 @@ def calibration_headline(c: TrackerCalibration, view: ReadingsView) -> Headline:
     better = bool(after.mean() < methods.before.mean())
     words = " ".join((sentence, *doubts))
     return Headline(better and not doubts, verdict if better else "No better than before.", words, _facts(c, view))
-
-
-def _doubts(c: TrackerCalibration) -> list[str]:
-    """What speaks against the calibration: another method does better, errors above what the model states."""
-    error, words = c.methods.error, []
-    if len(c.methods.rows):
-        after, best = error[c.method], min(error, key=lambda method: float(error[method].mean()))
-        if after.max() > c.methods.before.max():
-            words.append("The worst reading is further off than before.")
-        if error[best].mean() < CLEARLY * after.mean():
-            words.append(f"Method '{best}' does better: {mm(error[best].mean())} mm on average.")
-    found = {kind: figures["over_predicted"] for kind, figures in by_kind(c.held_out).items()}
-    return words + [
-        f"Where {KINDS[kind]} is left out, errors are {over:.1f} times what it states."
-        for kind, over in found.items()
-        if over > SURE
-    ]
 
 
 def _facts(c: TrackerCalibration, view: ReadingsView) -> tuple[tuple[str, str], ...]:
