@@ -10,7 +10,8 @@
     sign = -1                       # or a list, one for each of `from`
     offset = 90.0                   # added after that, in our unit
 
-Some units are no factors: a time as a date of digits ("%Y%m%d%H%M%S", as strptime has it) is seconds since the first row;
+Some units are no factors: a time as a date of digits ("%Y%m%d%H%M%S", as strptime has it) is seconds since the first row of the
+first file that has the column;
 "step_deg" or "step_rad" of approach1 .. approach6 is the sign by which an angle changed since the row before, for campaigns that
 say where they drove but not from where.
 """
@@ -92,6 +93,7 @@ class ColumnMapping:
     decimal: str = "."
     rotation: str | None = None
     columns: dict[str, MappedColumn] = field(default_factory=dict)
+    zeros: dict[str, float] = field(default_factory=dict)
 
     def header(self, path: Path, header: Sequence[str]) -> list[str]:
         """Our names of what a file with this header holds: its columns that no table uses, then those that tables make. A table
@@ -115,6 +117,10 @@ class ColumnMapping:
         given = self.columns[name].source
         return (name,) if given is None else given
 
+    def sources_of(self, name: str) -> tuple[str, ...]:
+        """The same, of a column that may be in no table: then it is its own."""
+        return self.sources(name) if name in self.columns else (name,)
+
     def values(self, name: str, theirs: Sequence[Array], n: int) -> Array:
         """A column (n,) of ours from theirs (n,) each."""
         column = self.columns[name]
@@ -126,6 +132,11 @@ class ColumnMapping:
             return np.where(np.abs(step) > MOVED, np.sign(step), 0.0)
         factors = _units_of(name)
         return np.asarray(total * factors.get(unit, 1.0) + ZERO.get(unit, 0.0) * bool(factors) + column.offset)
+
+    def zero(self, name: str, first: float) -> float:
+        """What a column of dates counts from, s: the first date read with this mapping (`first`, if it is that one), so that
+        readings and sealed conditions have one clock."""
+        return self.zeros.setdefault(name, first)
 
     def seconds(self, name: str) -> str:
         """The form of a column of dates; empty where it is none."""
@@ -185,6 +196,8 @@ def _check_column(path: Path, name: str, column: MappedColumn) -> None:
     if column.unit is not None and column.unit not in units and not dated:
         known = f"give one of {', '.join(units)}" if units else "it has none; leave the key out"
         raise BadInput(f"{path}: {name}.unit = '{shown(column.unit)}' is no unit of {name}; {known}")
+    if dated and (column.offset or column.sign != (1.0,)):
+        raise BadInput(f"{path}: {name} is of dates, which have no sign and no offset; leave these keys out")
 
 
 def _is_date_form(form: str) -> bool:

@@ -15,6 +15,8 @@ from robots.errors import BadInput, shown
 from robots.pose import Array
 
 OURS = ColumnMapping()
+DAYS = ("%d", "%j", "%x", "%c", "%D", "%F", "%s", "%U", "%W")  # of forms that tell one day from the next
+HALF_A_DAY = 43200.0  # s
 
 # Digits that a person types: float() alone also takes other scripts' digits, and underscores.
 _PLAIN = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?", re.ASCII)
@@ -93,10 +95,10 @@ def read_csv_table(
     ignored and named in `ignored`. Raises BadInput for everything else.
     """
     path = Path(path)
-    theirs, rows, lines = _cells(path, needed, mapping)
+    theirs, rows, lines = _cells(path, needed, words, mapping)
     header = mapping.header(path, theirs)
     known = [c for c in header if c in needed or c in optional]
-    made = {c: mapping.sources(c) if c in mapping.columns else (c,) for c in known}
+    made = {c: mapping.sources_of(c) for c in known}
     for column in (source for sources in made.values() for source in sources):
         if theirs.count(column) > 1:
             raise BadInput(f"{path}: column {column} stands there twice; remove one")
@@ -112,7 +114,8 @@ def read_csv_table(
         dates = mapping.seconds(column)
         read = [_numbers(path, lines, name, texts_, column in gaps, mapping, dates) for name, texts_ in found.items()]
         if dates:
-            numbers[column] = read[0] - read[0][0]
+            _check_midnight(path, lines, column, read[0], dates)
+            numbers[column] = read[0] - mapping.zero(column, float(read[0][0]))
         elif column in mapping.columns:
             numbers[column] = mapping.values(column, read, len(rows))
         else:
@@ -140,20 +143,34 @@ def _numbers(
     return np.array(found)
 
 
-def _cells(path: Path, needed: Sequence[str], mapping: ColumnMapping) -> tuple[list[str], list[list[str]], list[int]]:
-    """Header, rows and the line of each row."""
+def _check_midnight(path: Path, lines: list[int], column: str, seconds: Array, dates: str) -> None:
+    """Raises BadInput: times of day (n,) that begin anew."""
+    back = np.flatnonzero(np.diff(seconds) < -HALF_A_DAY)
+    if len(back) and not any(day in dates for day in DAYS):
+        raise BadInput(
+            f"{path}, line {lines[back[0] + 1]}, column {column}: a time of the form {dates} that is earlier by "
+            f"{(seconds[back[0]] - seconds[back[0] + 1]) / 3600.0:.1f} h than in the row before: a new day? give the date with it"
+        )
+
+
+def _cells(
+    path: Path, needed: Sequence[str], words: Sequence[str], mapping: ColumnMapping
+) -> tuple[list[str], list[list[str]], list[int]]:
+    """Header, rows and the line of each row. A name as "#1" is no comment where the first column is of `words`."""
     reader = csv.reader(_lines_of(path), delimiter=mapping.separator, skipinitialspace=mapping.separator == " ")
     header: list[str] = []
     rows: list[list[str]] = []
     lines: list[int] = []
+    words_first = False
     try:
         for row in reader:
             cells = [cell.strip() for cell in row]
-            if not any(cells) or cells[0].startswith("#"):
+            if not any(cells) or (cells[0].startswith("#") and not (words_first and len(cells) == len(header))):
                 continue
             if not header:
                 header = cells
                 _check_header(path, header, reader.line_num, needed, mapping)
+                words_first = any(header[0] in mapping.sources_of(word) for word in words)
             elif len(cells) != len(header):
                 raise BadInput(
                     f"{path}, line {reader.line_num}: {len(cells)} values where the header names {len(header)} columns; "

@@ -88,6 +88,7 @@ def test_the_default_order_is_that_of_the_contract():
         ("sigma_um = {", "sigma_um = { form = 1,", "form.*is no key of a mapping; known here: from, unit, sign, offset"),
         ('from = "pz"', 'from = "p_z"', "column z_mm missing"),
         ('"error"]', '"err"]', "column err is missing, which .*m.toml makes x_mm of"),
+        ('"%Y%m%d%H%M%S" }', '"%Y%m%d%H%M%S", offset = 5 }', "time_s is of dates, which have no sign and no offset"),
         ("%Y%m%d%H%M%S", "%Y-%m-%d", "line 2, column Zeit: '20200714235959' is no time of the form"),
         ('from = "py"', 'from = "note"', "column note: 'x' is not a number"),
     ],
@@ -106,3 +107,25 @@ def test_separators_are_told_where_the_mapping_lacks_them(tmp_path):
     (tmp_path / "t.csv").write_text("a;b\n1;2\n")
     with pytest.raises(BadInput, match=r"separated by semicolons; say so in .*m\.toml"):
         read_csv_table(tmp_path / "t.csv", ("a",), mapping=read_column_mapping(tmp_path / "m.toml"))
+
+
+def test_dates_of_two_files_have_one_clock_and_times_of_day_end_at_midnight(tmp_path):
+    (tmp_path / "m.toml").write_text(MAPPING)
+    mapping, heads = read_column_mapping(tmp_path / "m.toml"), []
+    for rows in (ROWS, [row.replace("20200715000001", "20200715003001") for row in ROWS[1:]]):
+        (tmp_path / "t.csv").write_text("\n".join([HEAD, *rows]) + "\n")
+        heads.append(float(read_readings(tmp_path / "t.csv", {}, Instrument(), mapping=mapping).time[0]))
+    assert heads == [0.0, 1802.0]
+    days = MAPPING.replace("%Y%m%d%H%M%S", "%H:%M:%S")
+    times = [row.replace("20200714235959", "23:59:59").replace("20200715000001", "00:00:01") for row in ROWS]
+    with pytest.raises(BadInput, match="line 3, column time_s: a time of the form %H:%M:%S that is earlier by 24.0 h"):
+        readings(tmp_path, days, rows=times)
+    assert list(readings(tmp_path, days, rows=times[1:] + times[:1]).time) == [0.0, 86398.0]
+
+
+def test_a_name_with_a_cross_is_no_comment(tmp_path):
+    (tmp_path / "t.csv").write_text("# ours\ntarget,q1_deg\n#1,5\n# a note\n2,6\n")
+    table = read_csv_table(tmp_path / "t.csv", ("q1_deg",), ("target",), ("target",))
+    assert table.words["target"] == ["#1", "2"] and table.line == [3, 5]
+    (tmp_path / "t.csv").write_text("q1_deg,target\n#5,a\n6,b\n")
+    assert list(read_csv_table(tmp_path / "t.csv", ("q1_deg",), ("target",), ("target",)).numbers["q1_deg"]) == [6.0]
