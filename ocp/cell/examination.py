@@ -102,7 +102,7 @@ def examine(path: Path, phases: Phases) -> Examined:
         found = findings_of_tables(tables, setup.robot)
     if tables.workpiece is None or tables.wheel is None:
         lacking = "workpiece" if tables.workpiece is None else "wheel"
-        what = f"the table [{lacking}] is missing; without it the cell serves poses, calibration and diagnosis of the arm alone"
+        what = f"the table [{lacking}] is missing; without it the cell serves calibration and diagnosis of the arm alone"
         return Examined(path, setup, (*found, Finding(UNMEASURED, lacking, what)), None)
     cell = read_cell(path)
     found += _unmeasured(tables)
@@ -275,7 +275,8 @@ def _flange_findings(tables: CellTables) -> Iterator[Finding]:
             f"{tables.process.force_N:g} is out of its reach"
         )
         yield Finding(DOUBT, "force_flange.setpoint_N", text)
-    name = None if tables.workpiece is None else tables.workpiece.payload
+    named = None if tables.workpiece is None else tables.workpiece.payload
+    name = named or next(iter(tables.payloads), None)
     load = None if name is None else tables.payloads.get(name)
     if load is not None and flange.carried_mass_kg > load.mass_kg:
         text = f"{flange.carried_mass_kg:g} is more than the payload '{name}' has in all ({load.mass_kg:g} kg)"
@@ -283,7 +284,11 @@ def _flange_findings(tables: CellTables) -> Iterator[Finding]:
 
 
 def _load_findings(robot: Robot, tables: CellTables) -> Iterator[Finding]:
-    """Payloads that the arm cannot carry, or whose centre or inertia nobody gave or gave in another unit."""
+    """Payloads that the arm cannot carry, or whose centre or inertia nobody gave or gave in another unit; which hangs there."""
+    if tables.workpiece is not None and tables.workpiece.payload is None and tables.payloads:
+        first, table = next(iter(tables.payloads.items()))
+        text = f"left out: '{first}' ({table.mass_kg:g} kg), the first of [payloads], is taken to hang there while grinding"
+        yield Finding(DOUBT, "workpiece.payload", text)
     for name, load in payloads_of(tables).items():
         reason = overload(robot, load) if load.mass > 0 else ""
         if reason:

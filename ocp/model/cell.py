@@ -283,6 +283,23 @@ def history_notices(cell: Cell, where: str) -> list[str]:
     return [f"what a recording did before decides of {', '.join(names)} in {cell.path.name}: {where}"] if names else []
 
 
+def load_notices(cell: Cell) -> list[str]:
+    """Sentences on what hangs on the flange where nobody named it, or where it is lighter than a part of it."""
+    load, name = cell.workpiece.payload, cell.workpiece.payload_name
+    found, file = [], cell.path.name
+    if cell.tables.workpiece is None or cell.tables.workpiece.payload is None:
+        told = f"'{name}', the first of [payloads], is" if name else "nothing is"
+        weight = f"{load.mass:g} kg in the programs' $LOAD"
+        found.append(f"{file} names no workpiece.payload: {told} taken to hang on the flange, {weight}")
+    carried = 0.0 if cell.flange is None else cell.flange.carried_mass
+    if carried > load.mass:
+        found.append(
+            f"{file}: the force flange alone carries {carried:g} kg, all that hangs on the robot is given {load.mass:g} kg; "
+            "correct workpiece.payload or force_flange.carried_mass_kg before anything moves"
+        )
+    return found
+
+
 def floor_notices(cell: Cell) -> list[str]:
     """A sentence where no floor could be checked."""
     if cell.floor is not None:

@@ -1,6 +1,6 @@
 """The main job as a function: cell and blade in, a verified motion out. Writing it is `ocp.plan.files`."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from pathlib import Path
@@ -9,14 +9,15 @@ import numpy as np
 
 from ocp.contact.wheel.cover import Cover
 from ocp.contact.wheel.law import WheelLaw
+from ocp.effects.patch import PATCH, lengths_outside
 from ocp.model.blade_gap import SurfaceCloud
-from ocp.model.cell import Cell, floor_notices, history_notices, read_cell
+from ocp.model.cell import Cell, floor_notices, history_notices, load_notices, read_cell
 from ocp.model.prepare import ContactModel, prepare_contact
 from ocp.model.theta import Theta, registered
 from ocp.plan.accuracy import WorkingAccuracy, working_accuracy
 from ocp.plan.clearance import CollisionScene
 from ocp.plan.motion import PlannedMotion, build_motion
-from ocp.plan.passes.optimise import Ground, GroundLines, compiled_solver, remembered_passes, solve_passes
+from ocp.plan.passes.optimise import Ground, GroundLines, SolvedPass, compiled_solver, remembered_passes, solve_passes
 from ocp.plan.passes.posture import seeds_of_stretches
 from ocp.plan.passes.stage import ObjectiveWeights
 from ocp.plan.passes.stretches import (
@@ -141,7 +142,7 @@ def cell_to_plan(cell_file: Path, blade_file: Path | None, options: PlanOptions)
     _refuse_options(cell_file, cell, options)
     hanging = {cell.workpiece.payload_name: cell.workpiece.payload}
     told = history_notices(cell, "no part of the plan; friction of the flange is in the force's standard deviation")
-    return cell, told + floor_notices(cell) + refuse_overload(str(cell_file), cell.robot, hanging)
+    return cell, told + load_notices(cell) + floor_notices(cell) + refuse_overload(str(cell_file), cell.robot, hanging)
 
 
 @dataclass(frozen=True)
@@ -180,7 +181,7 @@ def planned_motion(job: Job, solved: GroundLines) -> Plan:
     accuracy = cache(lambda: working_accuracy(job.believed, cell, job.ground.theta, contact.law, motion.passes))
     with job.phases.phase("removal"):
         removal = find_removal(cell, motion, contact.cover, laid.cloud, laid.flanks, laid.wanted, accuracy)
-    told = removal.beside_told()
+    told = [*removal.beside_told(), *patch_notices(cell, motion.passes)]
     if job.options.fitted:
         told.insert(0, feeds_told(cell, [p.grinding().problem.path for p in motion.passes], laid.wanted, job.options.laid))
 
@@ -205,6 +206,22 @@ def planned_motion(job: Job, solved: GroundLines) -> Plan:
         evaluated_by=solved.by,
         again=partial(planned_motion, job),
     )
+
+
+def patch_notices(cell: Cell, passes: Sequence[SolvedPass]) -> list[str]:
+    """Sentences on the cell's patches whose measured range of joints the passes leave: there they fade, and correct nothing."""
+    q, found = np.concatenate([one.solution.q for one in passes]), []
+    axes = {f"q{j + 1}": q[:, j] for j in range(6)}
+    for one in (effect.active for effect in cell.effects if effect.name.startswith(PATCH)):
+        ranges = [r for r in one.scanned["range"] if r[0] in axes]
+        away = lengths_outside(replace(one, scanned={**one.scanned, "range": ranges}), axes) > 1.0
+        if away.any():
+            told = ", ".join(f"{name} {np.degrees(low):.0f} to {np.degrees(high):.0f} deg" for name, low, high in ranges)
+            found.append(
+                f"{100 * away.mean():.0f} % of the waypoints lie outside what a {one.effect.title} of {cell.path.name} was "
+                f"fitted to ({told}): there it fades out and corrects little or nothing"
+            )
+    return found
 
 
 def left_out_too(ground: GroundLines, errors: list[CannotGrind]) -> GroundLines:

@@ -58,6 +58,7 @@ SLIPS = {
         "force_flange.carried_mass_kg",
         "25 kg",
     ),
+    "no payload named": (('payload = "grinder"', "# nothing named"), DOUBT, "workpiece.payload", "the first of [payloads]"),
     "floor in metres": (("[robot]", "[floor]\nz_mm = -0.4\n[robot]"), DOUBT, "floor.z_mm", "metres?"),
     "clamp in metres": (("clamp_to_mm = 10.0", "clamp_to_mm = 0.01"), DOUBT, "workpiece.clamp_to_mm", "metres?"),
     "nest in metres": (("T3 = [20, 170, 330]", "T3 = [0.02, 0.17, 0.33]"), DOUBT, "tracker.targets.T3", "metres?"),

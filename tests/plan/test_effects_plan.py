@@ -4,6 +4,7 @@ import json
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -23,7 +24,7 @@ from ocp.plan.passes.problem import WINDOW, PassProblem, approach_signs, with_di
 from ocp.plan.passes.solve import PassSolver
 from ocp.plan.passes.stage import ObjectiveWeights
 from ocp.plan.paths import PlanOptions
-from ocp.plan.planning import cell_to_plan
+from ocp.plan.planning import cell_to_plan, patch_notices
 from ocp.plan.second_route import BelievedRobot, moved_arm
 from robots.errors import BadInput
 from robots.reference_kinematics import elementary_forward
@@ -289,6 +290,19 @@ def test_a_faulty_patch_is_refused_in_a_sentence(tmp_path):
     file.write_text(f"{text}[[patches]]\n{table}\n")
     with pytest.raises(BadInput, match=rf"line {text.count(chr(10)) + 1}: patches\[0\]: .*needs a joint"):
         read_cell(file)
+
+
+def test_a_patch_says_where_passes_leave_what_it_was_fitted_to(tmp_path):
+    file = small_cell(tmp_path)
+    table = 'signal = "tracker"\nwhere = "q3"\nkernel = "joint"\njoint = 3\nfeatures = ["wave 1 q3"]\nweights = [1e-4]\n'
+    file.write_text(f"{file.read_text()}\n[[patches]]\n{table}covariance = [[0.0]]\nrange = {{ q3 = [1.0, 1.5] }}\n")
+    q = np.zeros((100, 6))
+    q[:, 2] = np.linspace(1.0, 2.5, 100)  # its wave is half a radian long
+    solved = SimpleNamespace(solution=SimpleNamespace(q=q))
+    (told,) = patch_notices(read_cell(file), [solved])  # type: ignore[list-item]
+    assert told.startswith("33 % of the waypoints lie outside what a patch over q3 of cell.toml was fitted to (q3 57 to 86 deg)")
+    q[:, 2] = 1.2
+    assert patch_notices(read_cell(file), [solved]) == []  # type: ignore[list-item]
 
 
 def test_the_command_plans_a_corrected_cell_and_its_text_holds_the_force(tmp_path):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from ocp.data import CELL
-from ocp.model.cell import floor_notices, read_cell
+from ocp.model.cell import floor_notices, load_notices, read_cell
 from ocp.plan.clearance import BASE_PLANE, CollisionScene
 from ocp.plan.paths import PlanOptions
 from ocp.plan.planning import make_plan
@@ -278,3 +278,11 @@ def test_the_tracker_stands_on_the_floor_whatever_the_mounting():
         cell = cell if floor is None else with_floor(cell, floor)
         stand = choose_stand(cell, Sight(), nests, q, np.random.default_rng(0))
         assert stand @ cell.up == pytest.approx(height) and np.hypot(STAND[0], height) == pytest.approx(np.linalg.norm(stand))
+
+
+def test_what_hangs_on_the_flange_is_told_where_nobody_named_it(tmp_path):
+    assert load_notices(bundled_cell()) == []
+    light = ('payload = "grinder"\n', ""), ("[payloads.grinder]\nmass_kg = 25.0", "[payloads.grinder]\nmass_kg = 1.0")
+    nobody, heavier = load_notices(read_cell(changed_cell(tmp_path, *light)))
+    assert "'grinder', the first of [payloads], is taken to hang on the flange, 1 kg in the programs' $LOAD" in nobody
+    assert "the force flange alone carries 5 kg, all that hangs on the robot is given 1 kg" in heavier
