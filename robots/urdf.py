@@ -67,6 +67,9 @@ def read_urdf(path: Path, flange: str | None = None) -> ImportedArm:
             "the axis; give places in the cell in this frame"
         )
     masses = _links(model, data, frames)
+    weightless = [str(model.names[i]) for i in range(1, 7) if masses is not None and not model.inertias[i].mass > 0]
+    if weightless:
+        notices.append(f"what moves with joint {', '.join(weightless)} has no mass in the URDF: it is taken to weigh nothing")
     if masses is None:
         notices.append("the URDF has no masses: nothing that depends on weight is offered until [links] are added")
     tables = _tables(path, model, mdh, signs, masses)
@@ -89,6 +92,12 @@ def _model(path: Path) -> Any:
         raise BadInput(f"{path}: is not XML ({error}); correct it") from None
     if root.tag != "robot" or path.suffix == ".xacro":
         raise BadInput(f"{path}: holds no <robot> of a URDF; give one (a xacro is expanded first: `xacro FILE > arm.urdf`)")
+    coupled = [joint.get("name", "") for joint in root.iter("joint") if joint.find("mimic") is not None]
+    if coupled:
+        raise BadInput(
+            f"{path}: joint '{shown(coupled[0])}' follows another one (mimic), as in a parallelogram; an arm here has six axes "
+            "of their own"
+        )
     with words_kept_back() as said:
         try:
             model = pin.buildModelFromXML(text)

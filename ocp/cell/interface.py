@@ -76,7 +76,7 @@ def new_cell(robot: str, *, blade: str | Path | None = None, out: str | Path = "
     if not planned:
         told.append(
             f"{arm.title} has no closed inverse (axes 2 and 3 parallel, wrist axes in one point), so nothing can be planned "
-            "with it: the cell has no wheel and no blade, and serves poses, calibration and diagnosis of the arm"
+            "with it: the cell has no wheel and no blade, and serves calibration and diagnosis of the arm"
         )
     line = f"{out / FILE}: its comments say what to measure; then `grindplan cell check {out / FILE}`"
     return CellResult(out, line, tuple(told))

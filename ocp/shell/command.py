@@ -2,6 +2,7 @@
 
 import functools
 import inspect
+import io
 import json
 import sys
 import time
@@ -145,6 +146,9 @@ def numbers(
 def main(app: typer.Typer, name: str | None = None) -> None:
     """Run a command line; what is wrong with the arguments is one sentence too, and an interrupt ends it at once. name: as which
     its help names it."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")  # a console of another code page is no reason to fail when all is done
     sys.exit(supervised(lambda: _called(app, name), lambda sentence: print(sentence, file=sys.stderr)))  # noqa: T201
 
 

@@ -165,3 +165,20 @@ def test_sealed_recordings_of_link_sides_are_predicted_blind(tmp_path):
     inside = np.array([r["inside"] == "1" for r in rows])
     assert inside[:900].mean() > 0.6 and inside[-50:].mean() < 0.5
     assert told["sigma"][~inside, 0].mean() > 3.0 * told["sigma"][inside, 0].mean()
+
+
+def test_speeds_contradict_times_in_milliseconds(tmp_path):
+    columns = joint_columns(seed=6)
+    time, q = np.asarray(columns["time_s"], float), np.asarray(columns["q2_deg"], float)
+    columns["qd2_deg_s"] = np.gradient(q, time)
+    write_csv(tmp_path / "joints.csv", columns)
+    assert not [n for n in read_joint_log(tmp_path / "joints.csv").notices if "apart" in n or "copy" in n]
+    columns["time_s"] = 1e3 * time
+    write_csv(tmp_path / "joints.csv", columns)
+    with pytest.raises(BadInput, match="column qd2_deg_s: .* makes 1e.03 times the way by which q2_deg changes over time_s"):
+        read_joint_log(tmp_path / "joints.csv")
+    del columns["qd2_deg_s"]
+    columns["link2_deg"] = columns["q2_deg"]
+    write_csv(tmp_path / "joints.csv", columns)
+    told = " ".join(read_joint_log(tmp_path / "joints.csv").notices)
+    assert "rows stand 10 s apart" in told and "joint 2 is a copy of its motor's" in told

@@ -1,6 +1,9 @@
 """The options that every command has: the last line as JSON, the page opened, phases told."""
 
 import json
+import os
+import subprocess
+import sys
 import webbrowser
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
@@ -77,3 +80,11 @@ def test_a_process_that_the_system_ended_is_one_sentence(monkeypatch, grows, sta
     sentence, code = refusal(BrokenProcessPool("a child died"))
     assert code == 1 and sentence.startswith(f"no safe plan, {stands}") and "memory" in sentence
     assert refusal(RuntimeError("ours")) is None
+
+
+def test_a_console_of_another_code_page_ends_no_command():
+    app = "app = typer.Typer()\n@app.command()\ndef told() -> None:\n    print('0.05 \\u2192 0.04')\n"
+    code = f"import typer\nfrom ocp.shell.command import main\n{app}main(app)"
+    page = os.environ | {"PYTHONIOENCODING": "cp1252"}
+    told = subprocess.run([sys.executable, "-c", code], capture_output=True, env=page, check=True)
+    assert told.stdout.split() == [b"0.05", b"\\u2192", b"0.04"]

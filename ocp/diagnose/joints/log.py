@@ -17,6 +17,8 @@ TORQUE = tuple(f"tau{i}_Nm" for i in range(1, 7))
 SPEED = tuple(f"qd{i}_deg_s" for i in range(1, 7))
 FEW = 30  # rows of a joint below which nothing can be told of it
 MOVED = np.radians(1.0)  # rad: an axis that travelled less did not move
+OTHER_SPEED = 10.0  # times; noise and a slow filter of speeds are nearer, other units farther apart
+SLOW = 1.0  # s between rows, from which times may well be milliseconds
 APART = np.radians(8.0)  # rad of wander between the two sides: more than any gear or delay, so another unit or sign
 
 
@@ -61,6 +63,7 @@ def read_joint_log(path: str | Path, mapping: ColumnMapping = OURS, sealed: bool
     run, runs = table.labels("run")
     table.check_order("time_s", run, runs, strictly=True)
     q, link = np.radians(table.stack(AXES)), np.radians(_columns(table, LINK))
+    _check_speeds(table, run)
     if sealed:
         link = np.full_like(q, np.nan)
     _check_link(table, q, link)
@@ -101,10 +104,36 @@ def _check_link(table: CsvTable, q: Array, link: Array) -> None:
             )
 
 
+def _check_speeds(table: CsvTable, run: Index) -> None:
+    """Raises BadInput: speeds of which the angles' steps are another multiple than of times in seconds."""
+    for column, angle in zip(SPEED, AXES, strict=True):
+        if column not in table.numbers:
+            continue
+        speed, inside = table.numbers[column], np.diff(run) == 0
+        went = np.diff(table.numbers[angle])[inside]
+        told = (0.5 * (speed[1:] + speed[:-1]) * np.diff(table.numbers["time_s"]))[inside]
+        known = np.isfinite(told)
+        if known.sum() < FEW or np.degrees(MOVED) > np.abs(went[known]).sum():
+            continue
+        share = float(np.abs(told[known]).sum() / np.abs(went[known]).sum())
+        if not 1.0 / OTHER_SPEED < share < OTHER_SPEED:
+            raise table.refuse(
+                int(np.nanargmax(np.abs(speed))),
+                column,
+                f"makes {share:.3g} times the way by which {angle} changes over time_s; give deg/s, and times in seconds",
+            )
+
+
 def _notices(table: CsvTable, log: JointLog) -> list[str]:
     """What was ignored or is absent, and what that blinds."""
     name = table.path.name
     found = [f"{name}: columns {', '.join(table.ignored)} were ignored"] if table.ignored else []
+    step = float(np.median(np.diff(log.time)[np.diff(log.run) == 0])) if len(log) > 1 else 0.0
+    if step > SLOW:
+        found.append(f"{name}: rows stand {step:.3g} s apart: are times in seconds? delays show in faster logs alone")
+    copied = [j for j in log.joints if np.array_equal(log.link[:, j - 1], log.q[:, j - 1])]
+    if copied:
+        found.append(f"{name}: the link side of joint {', '.join(map(str, copied))} is a copy of its motor's: it shows no gap")
     still = [j for j in range(1, 7) if LINK[j - 1] in table.numbers and j not in log.joints]
     if still:
         found.append(f"{name}: the link side of joint {', '.join(map(str, still))} is not used, the joint hardly moved")
