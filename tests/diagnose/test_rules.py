@@ -41,7 +41,7 @@ ELSEWHERE = {
     "document.py": {"SUM_TOLERANCE"},
     "verdict/location.py": {"ORDERS"},
     "joints/channel.py": {"RANK"},
-    "joints/log.py": {"MOVED", "APART"},
+    "joints/log.py": {"MOVED", "APART", "OTHER_SPEED", "SLOW"},
     "tracker/refit.py": {"SETTLED", "RANK"},
 }
 FOLDERS_ELSEWHERE = {"report"}  # drawing

@@ -368,13 +368,15 @@ def _check_running(table: CsvTable, column: str, parts: list[Index]) -> None:
 def _check_clock(table: CsvTable, run: Index) -> None:
     """Raises BadInput: a clock in another unit than the times, or one by which the recordings overlap."""
     time, clock = table.numbers["time_s"], table.numbers["clock_s"]
-    rows = [np.flatnonzero(run == i) for i in range(int(run.max()) + 1)]
+    rows = [np.flatnonzero(run == i) for i in np.unique(run)]
     tick = float(np.diff(np.unique(clock)).min(initial=np.inf))
     for at in rows:
         went, counted = float(np.ptp(time[at])), float(np.ptp(clock[at]))
         if counted > 0 and abs(counted - went) > 2.0 * tick + SKEWED * went:
             why = f"counts {counted:.6g} s where time_s counts {went:.6g} s in this run; give both in seconds"
             raise table.refuse(int(at[-1]), "clock_s", why)
+    if not rows:
+        return
     rows.sort(key=lambda at: float(clock[at[0]]))
     recorded, span = sum(float(np.ptp(time[at])) for at in rows[:-1]), float(clock[rows[-1][0]] - clock[rows[0][0]])
     if recorded > COARSE * len(rows) + (1.0 + SKEWED) * span:
