@@ -9,6 +9,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
+from ocp.calibrate import interface
 from ocp.calibrate.interface import calibrate, tracker_calibration
 from ocp.calibrate.tracker import calibrate_tracker
 from ocp.diagnose.answering import tracker_channel
@@ -114,7 +115,7 @@ def test_joints_that_are_none_are_refused(tmp_path, joints):
         read_calibration(path)
 
 
-def test_a_calibration_that_is_worse_than_the_cells_own_is_not_written(tmp_path):
+def test_a_calibration_that_is_worse_than_the_cells_own_is_not_written(tmp_path, monkeypatch):
     readings, cell = write_campaign(tmp_path), tmp_path / "cell.toml"
     first = calibrate(readings, cell=cell, out=tmp_path / "first")
     assert "doubts" not in first.line
@@ -132,4 +133,6 @@ def test_a_calibration_that_is_worse_than_the_cells_own_is_not_written(tmp_path)
     with pytest.raises(Infeasible, match="by the calibration that the cell has already within"):
         calibrate(tmp_path / "poor.csv", cell=again, out=tmp_path / "worse")
     assert not (tmp_path / "worse").exists()
-    assert calibrate(tmp_path / "poor.csv", cell=cell, out=tmp_path / "poor").folder.is_dir()
+    monkeypatch.setattr(interface, "doubts_about", lambda _: ["It is odd."])
+    line = calibrate(tmp_path / "poor.csv", cell=cell, out=tmp_path / "poor").line
+    assert f"With doubts: It is odd. {tmp_path / 'poor' / 'cell.toml'} is the cell with it" in line

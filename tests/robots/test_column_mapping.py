@@ -121,6 +121,8 @@ def test_dates_of_two_files_have_one_clock_and_times_of_day_end_at_midnight(tmp_
     with pytest.raises(BadInput, match="line 3, column time_s: a time of the form %H:%M:%S that is earlier by 24.0 h"):
         readings(tmp_path, days, rows=times)
     assert list(readings(tmp_path, days, rows=times[1:] + times[:1]).time) == [0.0, 86398.0]
+    unsorted = [times[0].replace("23:59:59", "10:30:00"), times[1].replace("00:00:01", "10:10:00")]
+    assert list(readings(tmp_path, days, rows=unsorted).time) == [0.0, -1200.0]
 
 
 def test_a_name_with_a_cross_is_no_comment(tmp_path):
