@@ -36,7 +36,7 @@ def read_whole(path: Path, most: int, what: str) -> bytes:
 def refuse_outside(*limits: tuple[str, float | None, float, float, str]) -> None:
     """Raises BadInput: an option lies outside its least and most; each with its unit, None where it was not given."""
     for option, value, low, high, unit in limits:
-        if value is not None and not low * (1 - 1e-12) <= value <= high * (1 + 1e-12):
+        if value is not None and not low - 1e-12 * abs(low) <= value <= high + 1e-12 * abs(high):
             raise BadInput(f"{option} {value:.10g} must lie between {low:.10g} and {high:.10g} {unit}".rstrip())
 
 
@@ -57,8 +57,6 @@ def _zero_or_from(least: float) -> Callable[[float], float]:
 
 # What has no narrower type: far beyond every physical quantity in its file's unit, small enough to be squared and cubed.
 Number = Annotated[float, _between(-1e12, 1e12)]
-Positive = Annotated[float, _between(1e-9, 1e12)]
-NotNegative = Annotated[float, _between(0.0, 1e12), AfterValidator(_zero_or_from(1e-12))]
 
 Place = Annotated[float, _between(-1e5, 1e5)]  # mm: 100 m; no cell is larger and no laser tracker measures farther
 Offset = Annotated[float, _between(-1e4, 1e4)]  # mm: 10 m; nothing held by an arm reaches farther

@@ -1,5 +1,7 @@
 """The arm as a Pinocchio model: motor torques for timing, independent check of kinematics and gravity."""
 
+from typing import Any
+
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
@@ -46,20 +48,25 @@ def inverse_dynamics(
     q, qd, qdd (n, 6) in rad, rad/s, rad/s^2; payload kg, centre (3,) m in the flange frame. Without friction,
     rotor inertia and balancer, which the catalogue does not know.
     """
-    columns = [np.asfortranarray(np.asarray(x, float).reshape(-1, 6).T) for x in (q, qd, qdd)]
-    torque = pin.rneaInParallel(1, _known_model(robot, payload_mass, payload_com), *columns)
-    return np.ascontiguousarray(torque.T).reshape(-1, 6)
+    rows = [np.asarray(x, float).reshape(-1, 6) for x in (q, qd, qdd)]
+    model, data, pool = _known_model(robot, payload_mass, payload_com)
+    if pool is None:  # Pinocchio without OpenMP
+        return np.array([pin.rnea(model, data, *row) for row in zip(*rows, strict=True)]).reshape(-1, 6)
+    # One thread: Pinocchio's loop over rows takes half the time of one here.
+    return np.ascontiguousarray(pin.rneaInParallel(1, pool, *map(np.asfortranarray, (x.T for x in rows))).T).reshape(-1, 6)
 
 
-_known: dict[tuple[bytes, ...], pin.ModelPool] = {}
+Known = tuple[pin.Model, pin.Data, Any]
+_known: dict[tuple[bytes, ...], Known] = {}
 
 
-def _known_model(robot: Robot, payload_mass: float, payload_com: ArrayLike) -> pin.ModelPool:
+def _known_model(robot: Robot, payload_mass: float, payload_com: ArrayLike) -> Known:
     """`rigid_body_model` with room for its results; those asked for last are at hand, a plan asks a thousand times."""
     arm = robot.mdh, robot.sign, robot.gravity_direction, robot.link_mass, robot.link_com, robot.link_inertia
     key = tuple(np.asarray(part, float).tobytes() for part in (*arm, payload_mass, payload_com))
     if key not in _known:
         while len(_known) >= KEPT_MODELS:
             del _known[next(iter(_known))]
-        _known[key] = pin.ModelPool(rigid_body_model(robot, payload_mass, payload_com), 1)
+        model = rigid_body_model(robot, payload_mass, payload_com)
+        _known[key] = model, model.createData(), pin.ModelPool(model, 1) if hasattr(pin, "rneaInParallel") else None
     return _known[key]

@@ -101,7 +101,9 @@ class CollisionScene:
         are at hand: what a pass is solved at is what it is judged at."""
         key = np.asarray(q, float).tobytes(), in_contact
         if key not in self._latest:
-            self._latest = {key: self._measured(q, in_contact)}
+            values, names = self._measured(q, in_contact)
+            values.flags.writeable = False
+            self._latest = {key: (values, names)}
         return self._latest[key]
 
     def _measured(self, q: Array, in_contact: bool) -> tuple[Array, list[tuple[str, str]]]:

@@ -22,7 +22,6 @@ from robots.kinematics import forward
 from robots.pose import Array, apply
 
 SAME_SPEED = 1e-6  # s; half the step of the differences that give the blade's speed
-END_ROW = 2e-3  # s between rows of engaging and retreating
 COARSER = 2.0  # times as far apart as the optimiser's contacts: the patch varies less than the indentation
 LEAST_WANTED = 0.01  # of the programmed depth; a map that asks for less asks for nothing
 DEEP = 1.25  # times what is wanted, from which on the surface beside what was asked for is told of
