@@ -92,12 +92,6 @@ def _model(path: Path) -> Any:
         raise BadInput(f"{path}: is not XML ({error}); correct it") from None
     if root.tag != "robot" or path.suffix == ".xacro":
         raise BadInput(f"{path}: holds no <robot> of a URDF; give one (a xacro is expanded first: `xacro FILE > arm.urdf`)")
-    coupled = [joint.get("name", "") for joint in root.iter("joint") if joint.find("mimic") is not None]
-    if coupled:
-        raise BadInput(
-            f"{path}: joint '{shown(coupled[0])}' follows another one (mimic), as in a parallelogram; an arm here has six axes "
-            "of their own"
-        )
     with words_kept_back() as said:
         try:
             model = pin.buildModelFromXML(text)
@@ -113,6 +107,14 @@ def _model(path: Path) -> Any:
             )
     if len(kinds) != 6:
         raise BadInput(f"{path}: has {len(kinds)} moving joints, six are needed; fix those of a gripper or a track in the URDF")
+    coupled = [
+        joint.get("name") for joint in root.iter("joint") if joint.find("mimic") is not None and joint.get("name") in moving
+    ]
+    if coupled:
+        raise BadInput(
+            f"{path}: joint '{shown(str(coupled[0]))}' follows another one (mimic), as in a parallelogram; an arm here has "
+            "six axes of their own"
+        )
     if list(model.parents)[1:] != list(range(6)):
         raise BadInput(f"{path}: its six joints do not follow each other; give a serial arm")
     return model
