@@ -182,3 +182,13 @@ def test_speeds_contradict_times_in_milliseconds(tmp_path):
     write_csv(tmp_path / "joints.csv", columns)
     told = " ".join(read_joint_log(tmp_path / "joints.csv").notices)
     assert "rows stand 10 s apart" in told and "joint 2 is a copy of its motor's" in told
+
+
+def test_speeds_of_an_arm_that_stands_contradict_nothing(tmp_path):
+    rng = np.random.default_rng(7)
+    columns = joint_columns(seed=6)
+    time, q = np.asarray(columns["time_s"], float), np.asarray(columns["q2_deg"], float)
+    for speed in (np.zeros(len(q)), rng.normal(0.0, 0.01, len(q)), rng.normal(0.0, 5.0, len(q)), 3.0 * np.gradient(q, time)):
+        columns["qd2_deg_s"] = speed  # of an arm that came to rest at every row, with noise, by a slow filter
+        write_csv(tmp_path / "joints.csv", columns)
+        assert read_joint_log(tmp_path / "joints.csv").joints

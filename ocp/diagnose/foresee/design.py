@@ -288,7 +288,11 @@ def _log_of_plan(path: Path) -> ForceLog:
         raise table.refuse(int(rows[back[0] + 1]), "time_s", f"comes after {clock[back[0]]:g}; a plan's rows are in time order")
     there = table.take(rows)
     known = {name: values for name, values in there.numbers.items() if np.isfinite(values).all()}  # s and feed may have gaps
-    known |= {"time_s": clock - clock[first][run], "clock_s": clock, "ground_before": _ground(run, line[rows])}
+    known |= {
+        "time_s": clock - clock[first][run],
+        "clock_s": clock - clock.min(initial=0.0),
+        "ground_before": _ground(run, line[rows]),
+    }
     return log_of_table(replace(there, numbers=known, words={"run": [f"{k + 1}" for k in run]}), sealed=True)
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from robots.column_mapping import ColumnMapping
+from robots.column_mapping import SEALED, ColumnMapping
 from robots.csv_table import OURS, CsvTable, read_csv_table
 from robots.errors import BadInput
 from robots.pose import Array, Stacked
@@ -17,7 +17,8 @@ TORQUE = tuple(f"tau{i}_Nm" for i in range(1, 7))
 SPEED = tuple(f"qd{i}_deg_s" for i in range(1, 7))
 FEW = 30  # rows of a joint below which nothing can be told of it
 MOVED = np.radians(1.0)  # rad: an axis that travelled less did not move
-OTHER_SPEED = 10.0  # times; noise and a slow filter of speeds are nearer, other units farther apart
+FAR, ALIKE, SHARED = 0.3, 0.3, 0.7  # of the largest step; of their median; of steps: a unit is the same for all
+OTHER_SPEED = 10.0  # times; a slow filter of speeds is nearer, other units farther apart
 SLOW = 1.0  # s between rows, from which times may well be milliseconds
 APART = np.radians(8.0)  # rad of wander between the two sides: more than any gear or delay, so another unit or sign
 
@@ -57,7 +58,15 @@ def read_joint_log(path: str | Path, mapping: ColumnMapping = OURS, sealed: bool
     Raises BadInput: as `read_csv_table`; no link column; times that do not grow inside a run; a link side that has another
     unit or counts the other way; too few rows; no joint with a link side that moved.
     """
-    table = read_csv_table(path, ("run", "time_s", *AXES), (*LINK, *TORQUE, *SPEED), ("run",), (*LINK, *TORQUE, *SPEED), mapping)
+    table = read_csv_table(
+        path,
+        ("run", "time_s", *AXES),
+        (*LINK, *TORQUE, *SPEED),
+        ("run",),
+        (*LINK, *TORQUE, *SPEED),
+        mapping,
+        f"{SEALED * sealed}joints",
+    )
     if not sealed and not any(c in table.numbers for c in LINK):
         raise BadInput(f"{table.path}: none of the columns link1_deg .. link6_deg is there; the link side is what is compared")
     run, runs = table.labels("run")
@@ -112,15 +121,17 @@ def _check_speeds(table: CsvTable, run: Index) -> None:
         speed, inside = table.numbers[column], np.diff(run) == 0
         went = np.diff(table.numbers[angle])[inside]
         told = (0.5 * (speed[1:] + speed[:-1]) * np.diff(table.numbers["time_s"]))[inside]
-        known = np.isfinite(told)
-        if known.sum() < FEW or np.degrees(MOVED) > np.abs(went[known]).sum():
+        far = np.isfinite(told) & (np.abs(went) > FAR * np.abs(went).max(initial=0.0))
+        if np.count_nonzero(far) < FEW or np.abs(went[far]).sum() < np.degrees(MOVED):
             continue
-        share = float(np.abs(told[known]).sum() / np.abs(went[known]).sum())
-        if not 1.0 / OTHER_SPEED < share < OTHER_SPEED:
+        ratio = told[far] / went[far]
+        usual = float(np.median(ratio))
+        alike = np.mean(np.abs(ratio - usual) < ALIKE * abs(usual))  # noise of either, or an arm that stands, scatters them
+        if usual > 0 and alike > SHARED and not 1.0 / OTHER_SPEED < usual < OTHER_SPEED:
             raise table.refuse(
                 int(np.nanargmax(np.abs(speed))),
                 column,
-                f"makes {share:.3g} times the way by which {angle} changes over time_s; give deg/s, and times in seconds",
+                f"makes {usual:.3g} times the way by which {angle} changes over time_s; give deg/s, and times in seconds",
             )
 
 
