@@ -10,8 +10,8 @@
     sign = -1                       # or a list, one for each of `from`
     offset = 90.0                   # added after that, in our unit
 
-Some units are no factors: a time as a date of digits ("%Y%m%d%H%M%S", as strptime has it) is seconds since the first row of the
-first file that has the column;
+Some units are no factors: a time as a date of digits ("%Y%m%d%H%M%S", as strptime has it) is seconds since the first row, of
+sealed conditions since that of the readings;
 "step_deg" or "step_rad" of approach1 .. approach6 is the sign by which an angle changed since the row before, for campaigns that
 say where they drove but not from where.
 """
@@ -52,6 +52,7 @@ ZERO = {"K": -273.15, "F": -160.0 / 9.0}  # deg C at zero of the scale
 APPROACH, MOVED = "approach", 0.01  # deg: less is no motion of an axis
 STEPS = {"step_deg": 1.0, "step_rad": 180.0 / np.pi}
 OTHERS = ("target", "payload", "session", "station", "run", "contact", "load_link")  # columns without a unit
+SEALED = "sealed "
 SEPARATORS = (",", ";", "\t", "|", " ")
 
 
@@ -133,10 +134,13 @@ class ColumnMapping:
         factors = _units_of(name)
         return np.asarray(total * factors.get(unit, 1.0) + ZERO.get(unit, 0.0) * bool(factors) + column.offset)
 
-    def zero(self, name: str, first: float) -> float:
-        """What a column of dates counts from, s: the first date read with this mapping (`first`, if it is that one), so that
-        readings and sealed conditions have one clock."""
-        return self.zeros.setdefault(name, first)
+    def zero(self, kind: str, first: float) -> float:
+        """What dates of a kind of table count from, s: its first one, of "sealed KIND" that of KIND read before, so that readings
+        and sealed conditions have one clock."""
+        if kind.startswith(SEALED):
+            return self.zeros.get(kind.removeprefix(SEALED), first)
+        self.zeros[kind] = first
+        return first
 
     def seconds(self, name: str) -> str:
         """The form of a column of dates; empty where it is none."""

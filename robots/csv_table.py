@@ -16,7 +16,7 @@ from robots.pose import Array
 
 OURS = ColumnMapping()
 DAYS = ("%d", "%j", "%x", "%c", "%D", "%F", "%s", "%U", "%W")  # of forms that tell one day from the next
-HALF_A_DAY = 43200.0  # s
+A_MINUTE = 60.0  # s by which rows may stand in another order than they were taken
 
 # Digits that a person types: float() alone also takes other scripts' digits, and underscores.
 _PLAIN = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?", re.ASCII)
@@ -85,11 +85,13 @@ def read_csv_table(
     words: Sequence[str] = (),
     gaps: Sequence[str] = (),
     mapping: ColumnMapping = OURS,
+    kind: str = "",
 ) -> CsvTable:
     """Read a file with a header. Numbers lie in the bounds of their columns (robots.bounds); `words` names the columns, needed
     or optional, kept as text.
 
-    In the columns `gaps` an empty cell is nan. `mapping`: how the file's columns become ours.
+    In the columns `gaps` an empty cell is nan. `mapping`: how the file's columns become ours; kind: of what the table is, for the
+    zero of its dates (`ColumnMapping.zero`).
 
     Comma-separated, decimal points; blank lines and lines that begin with # are passed over. Columns of other names are
     ignored and named in `ignored`. Raises BadInput for everything else.
@@ -115,7 +117,7 @@ def read_csv_table(
         read = [_numbers(path, lines, name, texts_, column in gaps, mapping, dates) for name, texts_ in found.items()]
         if dates:
             _check_midnight(path, lines, column, read[0], dates)
-            numbers[column] = read[0] - mapping.zero(column, float(read[0][0]))
+            numbers[column] = read[0] - mapping.zero(kind, float(read[0][0]))
         elif column in mapping.columns:
             numbers[column] = mapping.values(column, read, len(rows))
         else:
@@ -145,18 +147,19 @@ def _numbers(
 
 def _check_midnight(path: Path, lines: list[int], column: str, seconds: Array, dates: str) -> None:
     """Raises BadInput: times of day (n,) that begin anew."""
-    back = np.flatnonzero(np.diff(seconds) < -HALF_A_DAY)
+    back = np.flatnonzero(np.diff(seconds) < -A_MINUTE)
     if len(back) and not any(day in dates for day in DAYS):
         raise BadInput(
             f"{path}, line {lines[back[0] + 1]}, column {column}: a time of the form {dates} that is earlier by "
-            f"{(seconds[back[0]] - seconds[back[0] + 1]) / 3600.0:.1f} h than in the row before: a new day? give the date with it"
+            f"{(seconds[back[0]] - seconds[back[0] + 1]) / 3600.0:.2g} h than in the row before: a new day? give the date with it"
         )
 
 
 def _cells(
     path: Path, needed: Sequence[str], words: Sequence[str], mapping: ColumnMapping
 ) -> tuple[list[str], list[list[str]], list[int]]:
-    """Header, rows and the line of each row. A name as "#1" is no comment where the first column is of `words`."""
+    """Header, rows and the line of each row. Where the first column is of `words`, what begins with # may be a name or a row that
+    somebody took out: a whole row of it is refused."""
     reader = csv.reader(_lines_of(path), delimiter=mapping.separator, skipinitialspace=mapping.separator == " ")
     header: list[str] = []
     rows: list[list[str]] = []
@@ -165,7 +168,14 @@ def _cells(
     try:
         for row in reader:
             cells = [cell.strip() for cell in row]
-            if not any(cells) or (cells[0].startswith("#") and not (words_first and len(cells) == len(header))):
+            if not any(cells):
+                continue
+            if cells[0].startswith("#"):
+                if words_first and len(cells) == len(header) and any(cells[1:]):
+                    raise BadInput(
+                        f"{path}, line {reader.line_num}, column {header[0]}: '{shown(cells[0])}' begins with #, and the row has "
+                        "a value for every column: rename it if it is a name, remove the row if it is none"
+                    )
                 continue
             if not header:
                 header = cells

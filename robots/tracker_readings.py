@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from robots.column_mapping import ColumnMapping
+from robots.column_mapping import SEALED, ColumnMapping
 from robots.csv_table import OURS, CsvTable, read_csv_table
 from robots.errors import BadInput, shown
 from robots.pose import Array, Stacked, rotations_in_order
@@ -184,7 +184,9 @@ def read_readings(
     Raises BadInput: as `read_csv_table`, and a payload, target, sign or link that does not exist.
     """
     needed = AXES if sealed else (*AXES, *POINT)
-    table = read_csv_table(path, needed, OPTIONAL, WORDS, (*POINT, *TURN, *QUATERNION, "sigma_rot_deg"), mapping)
+    table = read_csv_table(
+        path, needed, OPTIONAL, WORDS, (*POINT, *TURN, *QUATERNION, "sigma_rot_deg"), mapping, f"{SEALED * sealed}tracker"
+    )
     if SEVENTH in table.ignored:
         raise BadInput(
             f"{table.path}: column {SEVENTH}: an arm of seven axes is not one of six; if it is a rail or a table, measure with "

@@ -112,22 +112,29 @@ def test_separators_are_told_where_the_mapping_lacks_them(tmp_path):
 def test_dates_of_two_files_have_one_clock_and_times_of_day_end_at_midnight(tmp_path):
     (tmp_path / "m.toml").write_text(MAPPING)
     mapping, heads = read_column_mapping(tmp_path / "m.toml"), []
-    for rows in (ROWS, [row.replace("20200715000001", "20200715003001") for row in ROWS[1:]]):
+    later = [row.replace("20200715000001", "20200715003001") for row in ROWS[1:]]
+    for rows, sealed in ((ROWS, False), (later, True), (later, False), (later, True)):
         (tmp_path / "t.csv").write_text("\n".join([HEAD, *rows]) + "\n")
-        heads.append(float(read_readings(tmp_path / "t.csv", {}, Instrument(), mapping=mapping).time[0]))
-    assert heads == [0.0, 1802.0]
+        heads.append(float(read_readings(tmp_path / "t.csv", {}, Instrument(), sealed, mapping).time[0]))
+    assert heads == [0.0, 1802.0, 0.0, 0.0]  # another campaign has its own
     days = MAPPING.replace("%Y%m%d%H%M%S", "%H:%M:%S")
     times = [row.replace("20200714235959", "23:59:59").replace("20200715000001", "00:00:01") for row in ROWS]
-    with pytest.raises(BadInput, match="line 3, column time_s: a time of the form %H:%M:%S that is earlier by 24.0 h"):
+    with pytest.raises(BadInput, match="line 3, column time_s: a time of the form %H:%M:%S that is earlier by 24 h"):
         readings(tmp_path, days, rows=times)
     assert list(readings(tmp_path, days, rows=times[1:] + times[:1]).time) == [0.0, 86398.0]
-    unsorted = [times[0].replace("23:59:59", "10:30:00"), times[1].replace("00:00:01", "10:10:00")]
-    assert list(readings(tmp_path, days, rows=unsorted).time) == [0.0, -1200.0]
+    unsorted = [times[0].replace("23:59:59", "10:30:00"), times[1].replace("00:00:01", "10:29:40")]
+    assert list(readings(tmp_path, days, rows=unsorted).time) == [0.0, -20.0]
+    with pytest.raises(BadInput, match="earlier by 9.6 h"):
+        readings(tmp_path, days, rows=[times[0].replace("23:59:59", "17:10:00"), times[1].replace("00:00:01", "07:34:00")])
 
 
-def test_a_name_with_a_cross_is_no_comment(tmp_path):
-    (tmp_path / "t.csv").write_text("# ours\ntarget,q1_deg\n#1,5\n# a note\n2,6\n")
-    table = read_csv_table(tmp_path / "t.csv", ("q1_deg",), ("target",), ("target",))
-    assert table.words["target"] == ["#1", "2"] and table.line == [3, 5]
-    (tmp_path / "t.csv").write_text("q1_deg,target\n#5,a\n6,b\n")
-    assert list(read_csv_table(tmp_path / "t.csv", ("q1_deg",), ("target",), ("target",)).numbers["q1_deg"]) == [6.0]
+def test_a_row_that_begins_with_a_cross_is_a_note_or_refused(tmp_path):
+    def read(text, words):
+        (tmp_path / "t.csv").write_text(text)
+        return read_csv_table(tmp_path / "t.csv", ("q1_deg",), ("target",), words)
+
+    table = read("# ours\ntarget,q1_deg\nA,5\n# a note\n# padded,\nB,6\n", ("target",))
+    assert table.words["target"] == ["A", "B"] and table.line == [3, 6]
+    with pytest.raises(BadInput, match="line 3, column target: '#1' begins with #, and the row has a value for every column"):
+        read("target,q1_deg\nA,5\n#1,6\n", ("target",))
+    assert list(read("q1_deg,target\n#5,a\n6,b\n", ("target",)).numbers["q1_deg"]) == [6.0]
