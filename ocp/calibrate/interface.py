@@ -97,11 +97,11 @@ def _calibrated(
             f"on average, {-1e3 * gain:.3f} +- {1e3 * half:.3f} mm worse than by the arm as believed "
             f"({1e3 * methods.before.mean():.3f} mm), so nothing is to be gained by it; {_remedy(made)}"
         )
-    after = methods.error[made.method].mean()
-    if methods.earlier is not None and methods.earlier.mean() < CLEARLY * after:
+    after = float(methods.error[made.method].mean())
+    if methods.earlier is not None and methods.earlier < CLEARLY * after:
         raise Infeasible(
             f"{path}: left-out readings are met within {1e3 * after:.3f} mm on average, by the calibration that the cell has "
-            f"already within {1e3 * methods.earlier.mean():.3f} mm, so nothing is to be gained by it; {_remedy(made)}, or take "
+            f"already within {1e3 * methods.earlier:.3f} mm, so nothing is to be gained by it; measure more postures, or take "
             "robot.calibration out of the cell to begin anew"
         )
     calibration, extra = tracker_calibration(made, inputs), list[Section]()

@@ -10,7 +10,6 @@ import numpy as np
 from ocp.effects.effect import Active
 from ocp.effects.engine.readings import effects_on, has_columns, shown_in, without_effects
 from ocp.model.cell import TrackerSetup, read_tracker_setup
-from ocp.shell.cache import sha256
 from ocp.shell.progress import Phases
 from robots.calibration.evidence import Term, choose_terms
 from robots.calibration.fit import Fit, fit_campaign, fit_learned, located, predict_readings, predictive_covariance
@@ -40,7 +39,7 @@ LEAST_OF_STATION = 4
 LEAST_TRAVEL = np.radians(5.0)  # an axis that moved less did not move
 BLOCKS = 10  # of readings left out, that the interval of a gain is told by
 SEALED = "sealed_tracker.csv"
-CLEARLY = 0.8  # of the mean error: a method, or the cell's earlier calibration, below it does clearly better
+CLEARLY = 0.8  # of the mean error: a method below it does clearly better
 SURE = 1.5  # error over prediction of a kind of fold above which the stated uncertainties are doubted
 KINDS = {
     "random": "readings drawn blindly",
@@ -53,13 +52,14 @@ KINDS = {
 
 @dataclass(frozen=True)
 class MethodTable:
-    """Absolute error (m,) m of each method on readings left out, in the same order `rows` (m,), before calibration, and by the
-    calibration that the cell had (None: none); the first two as vectors (m, 3) m, measured less predicted in the tracker's frame.
+    """Absolute error (m,) m of each method on readings left out, in the same order `rows` (m,), and before calibration; both as
+    vectors (m, 3) m, measured less predicted in the tracker's frame; earlier: mean m by the calibration that the cell had, on the
+    same readings or, if that is more, on those that were left out of it then (None: nothing tells).
     """
 
     rows: Array
     before: Array
-    earlier: Array | None
+    earlier: float | None
     error: dict[str, Array]
     off_before: Array
     off: dict[str, Array]
@@ -151,7 +151,7 @@ def _calibrate(tracker: Path, cell: Path, method: str, phases: Phases, mapping: 
     with phases.phase("held out"):
         held = validate(full, _refit(method))
     with phases.phase("methods", len(METHODS)) as advance:
-        table = compare_methods(full, advance, held if method == "full" else [], _that_saw_others(setup.calibration, tracker))
+        table = compare_methods(full, advance, held if method == "full" else [], setup.calibration)
     linear = linearise(campaign.robot, replace(readings, turn=None), campaign.instrument, full.layout, full.state)
     repeats = repeat_scatter(readings, campaign.instrument, linear.d_joints)
     on_top: Array | float = 0.0
@@ -236,7 +236,7 @@ def compare_methods(
     off = {method: vectors[order] for method, vectors in off.items()}
     believed = _off(c, before(c, fit.choice))[rows[order]]
     size = {method: np.linalg.norm(vectors, axis=1) for method, vectors in off.items()}
-    earlier = None if known is None else np.linalg.norm(_off(c, _as_known(c, fit.choice, known))[rows[order]], axis=1)
+    earlier = None if known is None else _error_of(c, fit.choice, known, rows)
     return MethodTable(rows[order], np.linalg.norm(believed, axis=1), earlier, size, believed, off)
 
 
@@ -245,20 +245,21 @@ def _off(c: Campaign, state: State) -> Array:
     return residuals(c.robot, c.readings, c.instrument, state)[:, :3]
 
 
-def _that_saw_others(known: Calibration | None, tracker: Path) -> Calibration | None:
-    """A calibration, unless it was fitted to these very readings: it meets them too well to be compared."""
-    hashes = {} if known is None else known.provenance.get("data_sha256", {})
-    return None if isinstance(hashes, dict) and sha256(tracker) in hashes.values() else known
-
-
-def _as_known(c: Campaign, choice: Choice, known: Calibration) -> State:
-    """The arm as an earlier calibration has it, the tracker and its nests placed."""
+def _error_of(c: Campaign, choice: Choice, known: Calibration, rows: Array) -> float | None:
+    """`MethodTable.earlier`, the tracker and its nests placed: readings that a calibration was fitted to it meets too well, so
+    how it met those left out must be told too."""
+    told: Any = known.provenance
+    for key in ("held_out", "random", "mean_mm"):
+        told = told.get(key) if isinstance(told, dict) else None
+    if not len(rows) or not isinstance(told, float | int):
+        return None
     state = nominal_state(c.robot, c.readings, c.payloads, c.instrument, choice)
     arm = state.arm.copy()
     for i, name in enumerate(ARM_NAMES):
         if name in known.names:
             arm[i] = known.values[known.names.index(name)]
-    return located(c, replace(state, arm=arm))
+    off = _off(c, located(c, replace(state, arm=arm)))[rows]
+    return max(float(np.linalg.norm(off, axis=1).mean()), 1e-3 * told)
 
 
 def doubts_about(c: TrackerCalibration) -> list[str]:

@@ -218,8 +218,8 @@ def patch_notices(cell: Cell, passes: Sequence[SolvedPass]) -> list[str]:
         if away.any():
             told = ", ".join(f"{name} {np.degrees(low):.0f} to {np.degrees(high):.0f} deg" for name, low, high in ranges)
             found.append(
-                f"{100 * away.mean():.0f} % of the waypoints lie outside what a {one.effect.title} of {cell.path.name} was "
-                f"fitted to ({told}): there it fades out and corrects little or nothing"
+                f"{np.count_nonzero(away)} of {len(away)} waypoints lie outside what a {one.effect.title} of {cell.path.name} "
+                f"was fitted to ({told}): there it fades out and corrects little or nothing"
             )
     return found
 

@@ -191,7 +191,7 @@ def update(
             raise BadInput(f"--changed flange: {cell_file} has no [force_flange]; leave it out")
         history = history_of(believed.calibration, cell_file)
         mark = log_mark(without_ramps(log))
-        if is_known(mark, history.logs):
+        if is_known(mark, history.logs) or sha256(log_file) in history.logs:
             raise BadInput(f"{log_file}: an earlier update used recordings of this log; give the log of the blade ground since")
         if is_known(mark, [_force_told(believed.calibration).get(RECORDINGS, "")]) or _made_from(believed.calibration, log_file):
             raise BadInput(

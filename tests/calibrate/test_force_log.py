@@ -311,23 +311,24 @@ def test_a_log_of_nothing_but_touch_and_lift_is_refused(tmp_path):
         without_ramps(read(tmp_path, ramped([5.0, 20.0, 40.0, 20.0, 5.0])))
 
 
-@pytest.mark.parametrize("factor", [1e3, 1.2, 1 / 60, 1 / 3600])
-def test_a_clock_in_another_unit_than_the_times_is_refused(tmp_path, factor):
+@pytest.mark.parametrize(("factor", "unit"), [(1e3, "milliseconds"), (1 / 60, "minutes"), (1 / 3600, "hours")])
+def test_a_clock_in_another_unit_than_the_times_is_refused(tmp_path, factor, unit):
     def clocked(times, slow=1.0, gap=30.0):
         """Three recordings."""
-        told = [rows(90, run=run, fn_N=20.0 + k, clock_s=gap * k) for k, run in enumerate("abc")]
+        told = [rows(90, run=run, clock_s=gap * k) for k, run in enumerate("abc")]
         for k, row in enumerate(row for one in told for row in one):
-            row["fn_N"] += 0.001 * (k % 7)
-            row["time_s"] *= slow
+            row |= {"time_s": slow * row["time_s"], "fn_N": 20.0 + 0.001 * k}
             row["clock_s"] += times * row["time_s"]
         return [row for one in told for row in one]
 
-    assert len(read(tmp_path, clocked(1.0))) == 270
-    with pytest.raises(BadInput, match="column clock_s: .* counts .* s where time_s counts 0.89 s in this run"):
+    with pytest.raises(BadInput, match=f"column clock_s: .* counts .* where time_s counts 0.89 s in this run: {unit}"):
         read(tmp_path, clocked(factor))
-    coarse = [row | {"clock_s": float(int(row["clock_s"]))} for row in clocked(1.0, slow=3.0)]
-    assert len(read(tmp_path, coarse)) == 270  # whole seconds say no more
-    with pytest.raises(BadInput, match="counts 0.002 s from the first recording to the last, and those before it take 17.8 s"):
+    for times in (1.0, 0.5, 1.05):  # a wheel that stands for half of it, clocks that are not quite alike
+        assert len(read(tmp_path, clocked(times))) == 270
+    for second in (1.0, 60.0):  # clocks of whole seconds or minutes
+        coarse = [row | {"clock_s": second * (row["clock_s"] // second)} for row in clocked(1.0, slow=3.0)]
+        assert len(read(tmp_path, coarse)) == 270
+    with pytest.raises(BadInput, match="counts 0.002 s from the first recording to the last, those before it take 17.8 s"):
         read(tmp_path, clocked(0.0, slow=10.0, gap=1e-3))
 
 

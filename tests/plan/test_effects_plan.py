@@ -300,7 +300,7 @@ def test_a_patch_says_where_passes_leave_what_it_was_fitted_to(tmp_path):
     q[:, 2] = np.linspace(1.0, 2.5, 100)  # its wave is half a radian long
     solved = SimpleNamespace(solution=SimpleNamespace(q=q))
     (told,) = patch_notices(read_cell(file), [solved])  # type: ignore[list-item]
-    assert told.startswith("33 % of the waypoints lie outside what a patch over q3 of cell.toml was fitted to (q3 57 to 86 deg)")
+    assert told.startswith("33 of 100 waypoints lie outside what a patch over q3 of cell.toml was fitted to (q3 57 to 86 deg)")
     q[:, 2] = 1.2
     assert patch_notices(read_cell(file), [solved]) == []  # type: ignore[list-item]
 

@@ -118,6 +118,8 @@ def test_the_force_is_known_after_it(done):
 def test_the_second_update_begins_where_the_first_ended(done):
     history = done.second.made.history
     assert len(history) == 2 and history.ends > 700 and len(history.logs) == 2
+    first, second = (one.calibration.provenance["force"]["recordings"] for one in (done.first, done.second))
+    assert first and first == second != history.logs[1]  # what a calibration was made from is known however often it is updated
     assert done.second.made.latest["expected_sd_N"] < 1.2 < done.first.made.latest["expected_sd_N"]
     before, now = done.first.made.preston, done.second.made.preston
     assert now.value == pytest.approx(before.value, rel=1e-5) and now.sd > 1.02 * before.sd and now.points == 0

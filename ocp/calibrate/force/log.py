@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ocp.model.cell import Cell
-from robots.column_mapping import ColumnMapping
+from robots.column_mapping import SEALED, ColumnMapping
 from robots.csv_table import OURS, CsvTable, read_csv_table
 from robots.errors import BadInput, shown
 from robots.pose import Array, Stacked
@@ -52,8 +52,10 @@ AIR_SHARE = 0.15  # of the log's usual force, below which a row without `contact
 AIR_WINDOW = 9  # rows over whose median that is judged
 STILL = 100  # rows in contact after the first of their recording: one that never changes over more of them is no reading
 LEAST_ROWS = 20  # in contact that follow another of their recording: a sensor's noise is known to a quarter of itself by so many
-COARSE = 2.0  # s a recording: how long it takes is not known better
-SKEWED = 0.05  # of a time by which two clocks may differ; minutes and milliseconds are farther apart
+OTHER_CLOCKS = {1e3: "milliseconds", 1.0 / 60.0: "minutes", 1.0 / 3600.0: "hours"}  # by what they count of a second
+OTHER_CLOCK_NEAR = 0.1  # of that; clocks are alike to less
+COARSE = 2.0  # s a recording that are not known better
+UNCOUNTED = 10.0  # times as long as its clock says: a wheel may stand meanwhile
 WORDS = 8  # of a log that are remembered
 MARKED = 20  # rows of a recording by which it is told again
 COPIED = 5  # rows from which a recording that is another's to the last digit is its copy
@@ -114,7 +116,9 @@ def read_force_log(path: str | Path, sealed: bool = False, mapping: ColumnMappin
     vectors = (*POINT, *NORMAL, *FEED)
     needed = ("run", "time_s", *AXES, *vectors, *(() if sealed else ("fn_N",)))
     optional = tuple(c for c in OPTIONAL if c != "ft_N") if sealed else OPTIONAL  # what is sealed is no condition
-    return log_of_table(read_csv_table(path, needed, optional, ("run", "session"), (), mapping), sealed)
+    return log_of_table(
+        read_csv_table(path, needed, optional, ("run", "session"), (), mapping, f"{SEALED * sealed}force"), sealed
+    )
 
 
 def log_of_table(table: CsvTable, sealed: bool) -> ForceLog:
@@ -182,17 +186,17 @@ def refuse_few_rows(log: ForceLog) -> None:
 def log_mark(log: ForceLog) -> str:
     """Words that tell recordings of a log again: of postures, points and forces where each comes into contact, whatever line
     endings, the order of columns, or rows taken off at the end; the least ones, which a part of the log mostly has too."""
-    words = []
-    for i in np.unique(log.run[log.contact]):
-        at = np.flatnonzero((log.run == i) & log.contact)[:MARKED]
-        told = np.column_stack([log.q[at], log.p[at], log.fn[at]])
-        words.append(hashlib.sha256(np.ascontiguousarray(told).tobytes()).hexdigest()[:12])
+    told = np.column_stack([log.q, log.p, log.fn])
+    rows = [np.flatnonzero((log.run == i) & log.contact) for i in np.unique(log.run)]
+    long = [at[:MARKED] for at in rows if len(at) >= MARKED] or [np.flatnonzero(log.contact)]
+    words = [hashlib.sha256(np.ascontiguousarray(told[at]).tobytes()).hexdigest()[:12] for at in long]
     return " ".join(sorted(words)[:WORDS])
 
 
 def is_known(mark: str, marks: Iterable[str]) -> bool:
-    """Whether any of a log's recordings is in one of these marks."""
-    return not {*mark.split()}.isdisjoint(word for one in marks for word in one.split())
+    """Whether recordings of a log are in one of these marks: two, or the only one."""
+    mine = {*mark.split()}
+    return any(len(mine & {*one.split()}) >= min(2, len(mine), len(one.split())) for one in marks if one)
 
 
 def steady_rows(log: ForceLog) -> Flags:
@@ -366,22 +370,20 @@ def _check_running(table: CsvTable, column: str, parts: list[Index]) -> None:
 
 
 def _check_clock(table: CsvTable, run: Index) -> None:
-    """Raises BadInput: a clock in another unit than the times, or one by which the recordings overlap."""
+    """Raises BadInput: a clock in another unit than the times, or one that counts less than a tenth of the recordings."""
     time, clock = table.numbers["time_s"], table.numbers["clock_s"]
-    rows = [np.flatnonzero(run == i) for i in np.unique(run)]
-    tick = float(np.diff(np.unique(clock)).min(initial=np.inf))
-    for at in rows:
-        went, counted = float(np.ptp(time[at])), float(np.ptp(clock[at]))
-        if counted > 0 and abs(counted - went) > 2.0 * tick + SKEWED * went:
-            why = f"counts {counted:.6g} s where time_s counts {went:.6g} s in this run; give both in seconds"
+    rows = sorted((np.flatnonzero(run == i) for i in np.unique(run)), key=lambda at: float(clock[at[0]]))
+    went, counted = (np.array([float(np.ptp(values[at])) for at in rows]) for values in (time, clock))
+    for unit, name in OTHER_CLOCKS.items():
+        like = (went > 0) & (np.abs(counted - unit * went) < OTHER_CLOCK_NEAR * unit * went)
+        if np.count_nonzero(like) > 0.5 * len(rows):
+            at = rows[int(np.argmax(like))]
+            why = f"counts {np.ptp(clock[at]):.6g} where time_s counts {np.ptp(time[at]):.6g} s in this run: {name}? give seconds"
             raise table.refuse(int(at[-1]), "clock_s", why)
-    if not rows:
-        return
-    rows.sort(key=lambda at: float(clock[at[0]]))
-    recorded, span = sum(float(np.ptp(time[at])) for at in rows[:-1]), float(clock[rows[-1][0]] - clock[rows[0][0]])
-    if recorded > COARSE * len(rows) + (1.0 + SKEWED) * span:
-        why = f"counts {span:.6g} s from the first recording to the last, and those before it take {recorded:.6g} s; give seconds"
-        raise table.refuse(int(rows[-1][0]), "clock_s", why)
+    span, recorded = float(np.ptp([clock[at[0]] for at in rows] or [0.0])), float(went[:-1].sum())
+    if recorded > COARSE * len(rows) + UNCOUNTED * span:
+        why = f"counts {span:.6g} s from the first recording to the last, those before it take {recorded:.6g} s; give one clock"
+        raise table.refuse(int(rows[-1][0]), "clock_s", f"{why} of seconds for all")
 
 
 def _check_copies(table: CsvTable, fn: Array, run: Index, runs: tuple[str, ...]) -> None:

@@ -93,7 +93,9 @@ class ForceFit:
         cell = self.setup.model.cell
         reasons = self.not_identified if robot is None else robot.not_identified | self.not_identified
         provenance = {} if robot is None else dict(robot.provenance)
-        provenance["force"] = {**vars(self.figures), RECORDINGS: log_mark(self.log)}
+        known = provenance.get("force", {})  # an update's log is in its history: what the first was made from stays
+        kept = known.get(RECORDINGS) if isinstance(known, dict) else None
+        provenance["force"] = {**vars(self.figures), RECORDINGS: kept or log_mark(self.log)}
         if self.log.clock is not None:
             provenance["force"]["clock_s"] = float(self.log.clock.max())
         own = Calibration(cell.robot.name, self.names, self.values, self.covariance, provenance, reasons, self.notices)
