@@ -151,3 +151,11 @@ def test_what_is_not_measured_is_farther_than_the_closest_pair(scene, monkeypatc
     monkeypatch.setattr(CollisionScene, "_least", lambda _, frames, pairs: np.full((len(frames), len(pairs)), -np.inf))
     every, whose = scene._measured(q, in_contact)
     assert np.array_equal(values, every) and names == whose and len(set(names)) > 5
+
+
+def test_clearances_that_are_kept_cannot_be_overwritten(cell, scene):
+    q = np.zeros((3, 6))
+    first, _ = scene.clearances(q, True)
+    with pytest.raises(ValueError, match="read-only"):
+        first[0] = 99.0
+    assert scene.clearances(q, True)[0] is first and scene.clearances(q + 0.1, True)[0][0] != first[0]

@@ -24,6 +24,7 @@ from ocp.plan.passes.transcription import AROUND, N_DYNAMIC, N_MOTION, REACH, tr
 from ocp.plan.removal.footprint import CELL, contacts_along, line_patches, planned_patches
 from ocp.plan.rules import JERK_TIME, SPEED_SHARE
 from robots.errors import Infeasible
+from robots.kinematics import link_frames
 from tests.support.example_pass import LineLaw, bar_pass, bundled_cell
 from trajectories.passes import reversed_path
 
@@ -190,6 +191,40 @@ def test_seeds_choose_the_direction_in_which_the_blade_moves_with_the_belt():
     backward = find_seeds(cell, CollisionScene(cell, BAR), LineLaw(), [reversed_path(path)])[0][0]
     assert forward.direction == -backward.direction
     assert forward.cost == pytest.approx(backward.cost, rel=1e-3)
+
+
+def reaches_over(cell, q):
+    """Whether the wrist ever lies behind axis 1, seen along the arm's own direction."""
+    wrist = link_frames(cell.robot, q)[:, 4, :3, 3]
+    ahead = q[:, 0] * cell.robot.sign[0]
+    return bool((wrist[:, 0] * np.cos(ahead) + wrist[:, 1] * np.sin(ahead) < 0).any())
+
+
+def test_seeds_of_all_windings_lie_inside_the_ranges_and_cost_what_their_axes_do(monkeypatch):
+    cell, found = setting()[0], []
+    families = posture._families
+
+    def kept(*arguments):
+        found.extend(seeds := families(*arguments))
+        return seeds
+
+    monkeypatch.setattr(posture, "_families", kept)
+    find_seeds(cell, CollisionScene(cell, BAR), LineLaw(), [bar_pass()])
+    low, high = cell.robot.q_min, cell.robot.q_max
+    assert all((seed.q > low).all() and (seed.q < high).all() for seed in found)
+    by_place: dict[bytes, list[float]] = {}
+    over: list[float] = []
+    for seed in found:
+        own = 0.02 * np.max(np.abs(seed.q[:, [3, 5]]) / np.pi) ** 2
+        own += 0.5 * np.max(np.abs(seed.q - 0.5 * (low + high)) / (0.5 * (high - low))) ** 4
+        place = np.round(np.hstack([np.cos(seed.q), np.sin(seed.q)]), 9) + 0.0
+        by_place.setdefault(place.tobytes() + bytes([seed.direction % 3]), []).append(seed.cost - own)
+        if reaches_over(cell, seed.q):
+            over.append(seed.cost - own)
+    assert over and min(over) >= 0.5
+    assert max(map(len, by_place.values())) >= 3
+    for same in map(np.array, by_place.values()):
+        assert same == pytest.approx(same[0], rel=1e-9)
 
 
 def girth_pass(feed, n=40, radius=0.04, half=0.45):

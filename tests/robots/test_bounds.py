@@ -13,7 +13,7 @@ from ocp.data import CELL
 from ocp.model.cell import read_cell
 from ocp.simulate.twin.krl_text import read_program
 from ocp.simulate.twin.plan_knowledge import read_plan_table, read_summary
-from robots.bounds import COLUMNS, column_bounds, read_whole
+from robots.bounds import COLUMNS, column_bounds, read_whole, refuse_outside
 from robots.calibration.store import read_calibration
 from robots.column_mapping import read_column_mapping
 from robots.csv_table import read_csv_table
@@ -221,3 +221,11 @@ def test_a_load_with_an_empty_component_is_refused(tmp_path):
         path.write_bytes(path.read_bytes().replace(b"J {X 0.0000,", b"J {X 0.0000,,"))
     with pytest.raises(BadInput, match="the inertia J of .LOAD is not X, Y, Z"):
         read_program(tmp_path, planned=True)
+
+
+def test_an_option_at_either_end_is_inside():
+    for value in (-60.0, 0.0, 60.0, None):
+        refuse_outside(("--belt", value, -60.0, 60.0, "m/s"))
+    for value in (-60.001, 60.001, float("nan")):
+        with pytest.raises(BadInput, match="must lie between -60 and 60 m/s"):
+            refuse_outside(("--belt", value, -60.0, 60.0, "m/s"))

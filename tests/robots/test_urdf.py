@@ -122,6 +122,14 @@ def test_a_joint_without_ends_turns_once_each_way(tmp_path):
     assert forward(loaded(found, tmp_path), q[None])[0] == pytest.approx(walked(text, q), abs=1e-9)
 
 
+def test_a_fixed_joint_of_a_gripper_may_mimic_another(tmp_path):
+    text = ARM.read_text().replace(
+        '<joint name="flange_joint" type="fixed">', '<joint name="flange_joint" type="fixed"><mimic joint="joint_a6"/>'
+    )
+    (tmp_path / "arm.urdf").write_text(text)
+    assert "mimic" in text and read_urdf(tmp_path / "arm.urdf").tables == read_urdf(ARM).tables
+
+
 def test_another_link_can_be_the_flange_and_a_wrong_one_is_named():
     assert read_urdf(ARM, "link_6").tables["geometry"]["d_mm"][5] == 0.0
     with pytest.raises(BadInput, match="does not hang on the last joint; there link_6, flange hang"):
