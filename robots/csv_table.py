@@ -72,6 +72,11 @@ class CsvTable:
                 rule = "times must grow in a run" if strictly else "the rows of a run must be in time order"
                 raise self.refuse(int(rows[k + 1]), column, f"comes {how} {time[rows[k]]:.10g} in run {shown(name)}; {rule}")
 
+    def ignored_columns(self) -> list[str]:
+        """A sentence on the columns that nobody asked for; none where there are none."""
+        names = ", ".join(name or "(no name)" for name in dict.fromkeys(self.ignored))
+        return [f"{self.path.name}: columns {shown(names, 400)} were ignored"] if names else []
+
     def refuse(self, row: int, column: str, reason: str) -> BadInput:
         """The error to raise about one value."""
         value = self.words[column][row] if column in self.words else f"{self.numbers[column][row]:.10g}"

@@ -36,6 +36,7 @@ SINGLE = ("time_s", "temperature_C", "load_link", "sigma_um", "sigma_rot_deg")
 OPTIONAL = (*POINT, *WORDS, *APPROACH, *LOAD, *PLACE, *TURN, *QUATERNION, *SINGLE)
 LEAST_OF_STRATUM = 30  # readings of a station, nest and payload that thinning leaves
 REPEAT_TOLERANCE = np.radians(1e-4)
+RESTARTS = 3  # times that a clock begins anew in a session; rows sorted by something else fall back far oftener
 # What a missing column cannot show.
 BLIND = {
     "approach1": "no approach columns: backlash cannot be tested",
@@ -270,15 +271,32 @@ def _last_motions(table: CsvTable) -> dict[int, Array] | None:
 def _notices(table: CsvTable, payloads: dict[str, Hanging]) -> list[str]:
     """What was ignored or is absent, and what that blinds."""
     name = table.path.name
-    found = [f"{name}: columns {', '.join(table.ignored)} were ignored"] if table.ignored else []
+    found = table.ignored_columns()
     found += [text for column, text in BLIND.items() if column not in table.numbers]
     for group in (APPROACH, TURN, QUATERNION):
         given = [c for c in group if c in table.numbers]
         if 0 < len(given) < len(group):
             found.append(f"{name}: of {', '.join(group)} only {', '.join(given)} are given; they are ignored")
+    found += _clock_begun_anew(table)
     if "payload" not in table.words and len(payloads) > 1:
         found.append(f"{name}: no column payload: '{next(iter(payloads))}' is taken to hang on the flange throughout")
     return found
+
+
+def _clock_begun_anew(table: CsvTable) -> list[str]:
+    """A sentence where times fall back in a session, less often than in rows that somebody sorted by something else."""
+    session, names = table.labels("session")
+    for one in range(len(names) if "time_s" in table.numbers else 0):
+        rows = np.flatnonzero(session == one)
+        time = table.numbers["time_s"][rows]
+        back = np.flatnonzero(np.diff(time) < 0)
+        if 0 < len(back) <= RESTARTS:
+            k = back[0]
+            return [
+                f"{table.path.name}, line {table.line[rows[k + 1]]}: time_s goes back from {time[k]:g} to {time[k + 1]:g} s; "
+                "rows are taken in the order of their times: if a clock began anew there, give what follows a session of its own"
+            ]
+    return []
 
 
 def _without_gaps(table: CsvTable, notices: list[str]) -> CsvTable:

@@ -249,7 +249,7 @@ def read_path_file(
     path = Path(path)
     read = read_csv_table(path, NEEDED, OPTIONAL)
     table, numbers = read.numbers, read.line
-    notices = [f"{path.name}: columns {', '.join(read.ignored)} were ignored."] if read.ignored else []
+    notices = [f"{one}." for one in read.ignored_columns()]
     for column, default, unit in (("feed_mm_s", 1e3 * feed, "mm/s"), ("force_N", force, "N")):
         if column not in table:
             table[column] = np.full(len(numbers), default)

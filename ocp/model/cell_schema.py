@@ -60,6 +60,8 @@ class RobotTable(TomlTable):
     def _mounted(self) -> "RobotTable":
         if sum(c * c for c in self.gravity_direction) < 1e-12:
             raise ValueError("gravity_direction has length zero; [0, 0, -1] is an upright base, [0, 0, 1] one under a ceiling")
+        if len(set(self.compliant_joints)) < len(self.compliant_joints):
+            raise ValueError("compliant_joints names a joint twice; name each once")
         return self
 
 

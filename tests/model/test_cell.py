@@ -121,6 +121,7 @@ AXIS = "clamp_to_mm = 10.0\naerofoil_axis = "
         ("radius_mm = 40.0", 'radius_mm = "big"', r"wheel.radius_mm = 'big': .*number"),
         ("centre_mm = [1700, 0, 900]", "centre_mm = [1700, 0]", r"wheel.centre_mm\[2\]|wheel.centre_mm"),
         ("shore_A = 45", "shore_A = 45\ncover_modulus_MPa = 3.0", "exactly one of cover_modulus_MPa and shore_A"),
+        ("compliant_joints = [2, 3]", "compliant_joints = [2, 3, 3]", "names a joint twice"),
         ("[1700, 0, 900]", "[1700, 0, nan]", r"wheel.centre_mm\[2\] = nan"),
         ('payload = "grinder"', 'payload = "drill"', "line 25: workpiece.payload 'drill' is not among .payloads. .bare, grinder"),
         ('model = "kr210_r2700_extra"', 'model = "kr2100"', "kr2100"),

@@ -27,11 +27,12 @@ def read(tmp_path, header=HEADER, *rows, instrument=INSTRUMENT, **options):
 
 
 def test_units_words_and_notices(tmp_path):
-    r = read(tmp_path, HEADER + ",operator", ROW + ",Ann", ROW.replace("T2", "T3").replace("weight", "bare") + ",Bob")
+    r = read(tmp_path, HEADER + ",operator,,", ROW + ",Ann,,", ROW.replace("T2", "T3").replace("weight", "bare") + ",Bob,,")
     assert np.degrees(r.q[0]) == pytest.approx([10, -90, 90, 0, 20, 30])
     assert r.point[0] == pytest.approx([1.5, -0.02, 0.9])
     assert [r.targets[k] for k in r.target] == ["T2", "T3"] and [r.payloads[k] for k in r.payload] == ["weight", "bare"]
-    assert any("operator" in n for n in r.notices) and any("backlash cannot be tested" in n for n in r.notices)
+    assert "tracker.csv: columns operator, (no name) were ignored" in r.notices
+    assert any("backlash cannot be tested" in n for n in r.notices)
     assert list(r.line) == [2, 3] and r.turn is None and r.sigma is None and not r.load.any()
 
 
@@ -52,6 +53,19 @@ def test_what_was_waited_counts_from_the_last_reading_elsewhere(tmp_path):
     np.testing.assert_allclose(thinned.waited, [5.0, 38.0])
     np.testing.assert_allclose(np.degrees(thinned.moved[:, 0]), [-2.0, 2.0])
     assert read(tmp_path).waited is read(tmp_path).moved is None
+
+
+def test_a_clock_that_begins_anew_in_a_session_is_told(tmp_path):
+    rows = [
+        f"{ROW.replace('1500', str(1500 + k))},{at},{day}" for k, (at, day) in enumerate(zip([5, 9, 2, 7], "aabb", strict=True))
+    ]
+    clock = HEADER + ",time_s,session"
+    assert not any("goes back" in n for n in read(tmp_path, clock, *rows).notices)
+    one = [row[:-1] + "a" for row in rows]
+    told = [n for n in read(tmp_path, clock, *one).notices if "goes back" in n]
+    assert len(told) == 1 and told[0].startswith("tracker.csv, line 4: time_s goes back from 9 to 2 s")
+    many = [f"{ROW.replace('1500', str(1500 + k))},{k % 2},a" for k in range(20)]  # sorted by something else
+    assert not any("goes back" in n for n in read(tmp_path, clock, *many).notices)
 
 
 def test_another_side_is_another_motion_and_another_session_another_clock(tmp_path):

@@ -141,7 +141,6 @@ def log_of_table(table: CsvTable, sealed: bool) -> ForceLog:
     fn = np.full(len(table), np.nan) if sealed else table.numbers["fn_N"]
     known = {*table.numbers, *table.words, *(("contact", "ft_N") if sealed else ())}
     blind = [f"{table.path.name}: no column {c}: {text}" for c, text in BLIND.items() if c not in known]
-    ignored = [f"{table.path.name}: columns {', '.join(table.ignored)} were ignored"] if table.ignored else []
     contact = _contact(table, fn, run)
     if not sealed:
         _check_force(table, fn, contact, run)
@@ -167,7 +166,7 @@ def log_of_table(table: CsvTable, sealed: bool) -> ForceLog:
         line=_counts(table, "line"),
         ground_before=_counts(table, "ground_before"),
         row=np.array(table.line),
-        notices=(*ignored, *blind, *_standing_still(table, run, contact)),
+        notices=(*table.ignored_columns(), *blind, *_standing_still(table, run, contact)),
         clock=table.column("clock_s", 1.0, lambda v: v < 0, "zero or above: how long the wheel has run"),
         **{name: table.numbers.get(column) for name, column in PLAIN.items()},
     )

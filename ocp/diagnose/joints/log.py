@@ -138,7 +138,7 @@ def _check_speeds(table: CsvTable, run: Index) -> None:
 def _notices(table: CsvTable, log: JointLog) -> list[str]:
     """What was ignored or is absent, and what that blinds."""
     name = table.path.name
-    found = [f"{name}: columns {', '.join(table.ignored)} were ignored"] if table.ignored else []
+    found = table.ignored_columns()
     step = float(np.median(np.diff(log.time)[np.diff(log.run) == 0])) if len(log) > 1 else 0.0
     if step > SLOW:
         found.append(f"{name}: rows stand {step:.3g} s apart: are times in seconds? delays show in faster logs alone")

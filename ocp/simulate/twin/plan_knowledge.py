@@ -301,7 +301,8 @@ def refuse_stranger(program: KrlProgram, cell: Cell, summary: dict[str, Any], fo
             raise BadInput(f"{motion.file}, line {motion.line}: $IPO_MODE is #BASE, but in {cell.path} the robot holds the blade")
     known = recorded_input(summary, "cell")
     if known is not None and file_hash(cell.path) != known[1]:
-        return (f"the plan was made with another version of {known[0]} than {cell.path}; tool, wheel and blade agree",)
+        alike = "frames, load and blade agree, what is cut, pressed and limited need not"
+        return (f"the plan was made with another version of {known[0]} than {cell.path}: {alike}",)
     return ()
 
 
