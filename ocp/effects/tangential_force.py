@@ -1,8 +1,8 @@
 """Friction between belt and blade differs from the cell's.
 
-The tangential force is (friction + dmu) F, and leak_sign `leak` of it shows in the normal reading. Grain, wear and lubrication
+The tangential force is (friction + dmu) F, and the share `leak` of it shows in the normal reading. Grain, wear and lubrication
 change the believed friction; the force along the belt bends blade and arm across and so changes the overlap. A leak is there
-because no sensor stands quite square (DIAGNOSIS, catalogue); leak_sign 1: the reading rises with ft_N, -1: it falls. ft
+because no sensor stands quite square (DIAGNOSIS, catalogue); where the reading falls as ft_N rises it is negative. ft
 readings show dmu directly, a reversed belt the leak.
 """
 
@@ -26,14 +26,13 @@ def _scan(joint: int, seen: Surroundings) -> Sequence[Scanned]:
 
 
 def _values(a: Array, scanned: Scanned) -> dict[str, Any]:
-    leak = float(a[1] / max(scanned["friction"] + a[0], LEAST))
-    return {"dmu": float(a[0]), "leak": abs(leak), "leak_sign": 1 if leak >= 0 else -1, "friction": scanned["friction"]}
+    leak = a[1] / max(scanned["friction"] + a[0], LEAST)
+    return {"dmu": float(a[0]), "leak": float(leak), "friction": scanned["friction"]}
 
 
 def _coefficients(values: Mapping[str, Any]) -> tuple[Array, dict[str, Any]]:
     friction = values.get("friction", FRICTION)
-    leak = values.get("leak", 0.0) * values.get("leak_sign", 1)
-    return np.array([values["dmu"], leak * max(friction + values["dmu"], LEAST)]), {"friction": friction}
+    return np.array([values["dmu"], values.get("leak", 0.0) * max(friction + values["dmu"], LEAST)]), {"friction": friction}
 
 
 EFFECT = Effect(
@@ -42,8 +41,7 @@ EFFECT = Effect(
     subsystem="wheel",
     parameters=(
         Parameter("dmu", "1", 0.05, 0.35),
-        Parameter("leak", "1", 0.0, 0.1, signed=False),
-        Parameter("leak_sign", "1", -1, 1),
+        Parameter("leak", "1", 0.0, 0.1),
         Parameter("friction", "1", 0.0, 1.0, signed=False),
     ),
     coefficients=("dmu", "leaking_friction"),

@@ -231,9 +231,8 @@ def test_values_and_coefficients_are_inverse_and_survive_a_cell_file(place, seed
         assert told[key] == pytest.approx(value, rel=1e-9, abs=1e-18) if not isinstance(value, str) else told[key] == value
     from_file = effect_of(table_of(one)).active
     assert from_file.joint == joint and from_file.effect is effect
-    if not any(key in ("leak_sign", "share_sign") for key in one.parameters):
-        same = {k: v for k, v in scanned.items() if k not in ("unit", "size")}
-        assert effect.values(from_file.a, from_file.scanned | same) == told
+    same = {k: v for k, v in scanned.items() if k not in ("unit", "size")}
+    assert effect.values(from_file.a, from_file.scanned | same) == told
     assert pickle.loads(pickle.dumps(one)).effect is effect
 
 

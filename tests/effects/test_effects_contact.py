@@ -73,8 +73,8 @@ def expected(name, v, x):
         "sensor_bias": v.get("N", 0) + zero,
         "sensor_drift": v.get("N_per_h", 0) * x["clock"] / 3600,
         "sensor_gain": np.float64(v.get("scale", 0)) * F,
-        "sensor_crosstalk": v.get("share", 0) * v.get("share_sign", 0) * 0.35 * sign * F,
-        "tangential_force": v.get("leak", 0) * v.get("leak_sign", 0) * (0.35 + v.get("dmu", 0)) * F * sign,
+        "sensor_crosstalk": v.get("share", 0) * 0.35 * sign * F,
+        "tangential_force": v.get("leak", 0) * (0.35 + v.get("dmu", 0)) * F * sign,
     }
     if name == "tool_frame_shift":
         give[name] = -1.0 * after * np.einsum("ni,nij,j->n", x["e"], x["R_flange"], v["m"])

@@ -182,10 +182,8 @@ def ratio_of(effect: Effect, scans: Sequence[Scanned]) -> float:
 
 
 def positive_of(effect: Effect) -> Array:
-    """Coefficients (m,) that may not be negative: those that are an unsigned parameter, and the share of the only one. A
-    parameter with a sign of its own beside it (share, share_sign) may be either."""
+    """Coefficients (m,) that may not be negative: those that are an unsigned parameter, and the share of the only one."""
     unsigned = {p.key for p in effect.parameters if not p.signed and p.length == 1}
-    unsigned -= {p.key.removesuffix("_sign") for p in effect.parameters if p.key.endswith("_sign")}
     if effect.coefficients == ("share",) and len(effect.parameters) == 1:
         return np.array([bool(unsigned)])
     return np.array([c in unsigned for c in effect.coefficients])
