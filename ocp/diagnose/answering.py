@@ -326,9 +326,9 @@ def drawn_beside() -> Iterator[Callable[[Answer, dict[str, str]], Page]]:
     if cores() < 2:
         yield lambda answer, hashes: lambda: _page_of(answer, hashes)
         return
-    with workers(1, _ready) as pool:
+    with workers(1, nothing) as pool:  # which imports nothing here: this process would wait until it has
         with interrupts_held_back():
-            pool.submit(nothing)  # a pool starts its process at the first task
+            pool.submit(_ready)
         yield lambda answer, hashes: pool.submit(_page_of, lean(answer), hashes).result
 
 

@@ -314,9 +314,10 @@ def kernel_columns(channels: Sequence[Channel], stacked: Stack) -> Iterator[tupl
     """Name, kernel and projected columns (N, V, m) per unit size, zero in other channels."""
     for channel, block, projection in zip(channels, stacked.blocks, stacked.projections, strict=True):
         for kernel in kernels(channel.conditions):
-            n, k, V, m = kernel.changes.shape
+            changes = kernel.changes
+            n, k, V, m = changes.shape
             whole = np.zeros((len(stacked.y), V * m))
-            whole[block] = projection.apply(channel.whiten(kernel.changes.reshape(n, k, V * m)))
+            whole[block] = projection.apply(channel.whiten(changes.reshape(n, k, V * m)))
             yield f"{channel.name}/{kernel.where}/{kernel.source}", kernel, whole.reshape(-1, V, m)
 
 

@@ -64,7 +64,7 @@ class TrackerChannel:
         """Effects in the prediction."""
         return self.fit.active
 
-    @property
+    @cached_property
     def system(self) -> System:
         """Whitened about the current fit."""
         n = len(self.readings)
@@ -162,7 +162,8 @@ class TrackerChannel:
             return UNSEEN
         chosen, moves = self._displaced(effect, joint, scans)
         V, n, _, m = moves.shape
-        return chosen, np.ascontiguousarray((self.fit.W @ moves).reshape(V, 3 * n, m).swapaxes(0, 1))
+        by_readings = moves.transpose(1, 2, 0, 3).reshape(n, 3, V * m)
+        return chosen, (self.fit.W @ by_readings).reshape(3 * n, V, m)
 
     def _displaced(self, effect: Effect, joint: int, scans: Sequence[Scanned] | None) -> tuple[tuple[Scanned, ...], Array]:
         """Displacements (V, n, 3, m) m per unit coefficient and their scanned values."""
