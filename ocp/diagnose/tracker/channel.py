@@ -162,6 +162,8 @@ class TrackerChannel:
             return UNSEEN
         chosen, moves = self._displaced(effect, joint, scans)
         V, n, _, m = moves.shape
+        if m == 1:  # otherwise the sums' last digits would differ, by which draws of a promise may turn their signs
+            return chosen, np.ascontiguousarray((self.fit.W @ moves).reshape(V, 3 * n, 1).swapaxes(0, 1))
         by_readings = moves.transpose(1, 2, 0, 3).reshape(n, 3, V * m)
         return chosen, (self.fit.W @ by_readings).reshape(3 * n, V, m)
 
