@@ -23,7 +23,7 @@ from ocp.diagnose.tracker.refit import (
     settled,
 )
 from ocp.effects.effect import Active, Effect, Scanned, Surroundings, scan_key
-from ocp.effects.engine.readings import COLUMNS, PlacedReadings, displaced, has_columns, motion
+from ocp.effects.engine.readings import COLUMNS, PlacedReadings, by_readings, displaced, has_columns, motion
 from ocp.effects.motor_harmonic import ratios_of
 from robots.calibration.noise import reading_covariance, whitener
 from robots.gravity import weight_torques
@@ -162,10 +162,7 @@ class TrackerChannel:
             return UNSEEN
         chosen, moves = self._displaced(effect, joint, scans)
         V, n, _, m = moves.shape
-        if m == 1:  # otherwise the sums' last digits would differ, by which draws of a promise may turn their signs
-            return chosen, np.ascontiguousarray((self.fit.W @ moves).reshape(V, 3 * n, 1).swapaxes(0, 1))
-        by_readings = moves.transpose(1, 2, 0, 3).reshape(n, 3, V * m)
-        return chosen, (self.fit.W @ by_readings).reshape(3 * n, V, m)
+        return chosen, by_readings(self.fit.W, moves).transpose(1, 2, 0, 3).reshape(3 * n, V, m)
 
     def _displaced(self, effect: Effect, joint: int, scans: Sequence[Scanned] | None) -> tuple[tuple[Scanned, ...], Array]:
         """Displacements (V, n, 3, m) m per unit coefficient and their scanned values."""

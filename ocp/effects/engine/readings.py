@@ -164,18 +164,24 @@ def motion(effect: Effect, joint: int, scans: Sequence[Scanned], seen: PlacedRea
 
 
 def displaced(found: Motion, d_joints: Array) -> Array:
-    """Displacement (V, n, 3, m) m of the reflectors, to first order; d_joints (n, 3, 6) m/rad in the tracker's frame. It lies by
-    readings (n, 3, V, m): a product with a matrix of each reading then takes all variants at once."""
+    """Displacement (V, n, 3, m) m of the reflectors, to first order; d_joints (n, 3, 6) m/rad in the tracker's frame."""
     shift, point = found
-    moved = None if point is None else np.ascontiguousarray(point.transpose(1, 2, 0, 3))
-    if shift is not None:
-        V, n, _, m = shift.shape
-        moving = np.flatnonzero(shift.any(axis=(0, 1, 3)))  # most effects move one joint
-        turned = shift[:, :, moving].transpose(1, 2, 0, 3).reshape(n, len(moving), V * m)
-        by_joints = (d_joints[:, :, moving] @ turned).reshape(n, 3, V, m)
-        moved = by_joints if moved is None else by_joints + moved
-    assert moved is not None
-    return moved.transpose(2, 0, 1, 3)
+    if shift is None:
+        assert point is not None
+        return point
+    moving = np.flatnonzero(shift.any(axis=(0, 1, 3)))  # most effects move one joint
+    moved = by_readings(d_joints[:, :, moving], shift[:, :, moving])
+    return np.asarray(moved if point is None else moved + point)
+
+
+def by_readings(matrices: Array, columns: Array) -> Array:
+    """Products (V, n, i, m) of a matrix (n, i, k) of each reading with its columns (V, n, k, m), of all variants at once; they lie
+    by readings. Lone columns are taken alone: their sums' last digits differ otherwise, by which draws of a promise turn."""
+    V, n, k, m = columns.shape
+    if m == 1:
+        return np.asarray(matrices @ columns)
+    every = matrices @ columns.transpose(1, 2, 0, 3).reshape(n, k, V * m)
+    return np.asarray(every.reshape(*every.shape[:2], V, m).transpose(2, 0, 1, 3))
 
 
 def together(active: Sequence[Active], seen: PlacedReadings) -> tuple[list[Array], Array, Array]:
