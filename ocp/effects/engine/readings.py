@@ -169,7 +169,7 @@ def displaced(found: Motion, d_joints: Array) -> Array:
     if shift is None:
         assert point is not None
         return point
-    moving = np.flatnonzero(shift.any(axis=(0, 1, 3)))  # most effects move one joint
+    moving = np.flatnonzero(shift.any(axis=0).any(axis=(0, 2)))  # most effects move one joint
     moved = by_readings(d_joints[:, :, moving], shift[:, :, moving])
     return np.asarray(moved if point is None else moved + point)
 
