@@ -154,19 +154,19 @@ def test_three_words_for_one_cause_are_no_three_causes(monkeypatch):
     search = SimpleNamespace(sets=sets, kernel=np.zeros(families, bool), background=np.zeros(families, bool))
     one_class = ((Name("e0", 0), Name("e1", 0)),)
     told = posterior(problem, search)
-    assert leader(problem, search, told)[1] == (Name("e2", 0),)
+    assert leader(problem, told)[1] == (Name("e2", 0),)
     monkeypatch.setattr("ocp.diagnose.verdict.diagnosis.classes_of", lambda *_: one_class)
-    assert leader(problem, search, told) == (sets[frozenset({0})], (Name("e0", 0),))
+    assert leader(problem, told) == (sets[frozenset({0})], (Name("e0", 0),))
     # None is weighed against the cause; a name that all others imitate does not gather what is theirs.
-    assert leader(problem, search, replace(told, p_none=told.probability[Name("e2", 0),] + 0.01))[1] == (Name("e0", 0),)
-    assert leader(problem, search, replace(told, p_none=0.7)) == (Weighed(0.0, ()), ())
+    assert leader(problem, replace(told, p_none=told.probability[Name("e2", 0),] + 0.01))[1] == (Name("e0", 0),)
+    assert leader(problem, replace(told, p_none=0.7)) == (Weighed(0.0, ()), ())
     every = {"e1": ((Name("e0", 0), Name("e1", 0), Name("e2", 0)),)}
 
     def of_each(_problem, weighed, _active):
         return every.get(found_name(problem, weighed), ())
 
     monkeypatch.setattr("ocp.diagnose.verdict.diagnosis.classes_of", of_each)
-    assert leader(problem, search, told)[1] == (Name("e2", 0),)
+    assert leader(problem, told)[1] == (Name("e2", 0),)
 
 
 def found_name(problem, weighed):

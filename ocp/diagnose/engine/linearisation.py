@@ -7,24 +7,13 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
+from ocp.diagnose import rules
 from ocp.diagnose.engine.beam import Key, Weighed
 from ocp.diagnose.engine.channel_system import Channel, ReadingRows
 from ocp.diagnose.engine.evidence import SIZES, Rival, Stack, coefficients_given, size_grid, stack, visible_lambda
 from ocp.diagnose.engine.findings import Name, Options
 from ocp.diagnose.engine.kernels import Kernel, kernels
 from ocp.diagnose.engine.pool import CandidatePool, Family, Given, Member, given, make_pool, most_telling
-from ocp.diagnose.rules import (
-    BACKGROUND_PLAY,
-    BACKGROUND_RIPPLE,
-    BROKEN_ORDER_ODDS,
-    LEADS,
-    LINES_A_GEAR,
-    PLAY_ODDS,
-    PRIOR_UNKNOWN,
-    QUIET,
-    RIPPLE_ODDS,
-    SEEN_LAMBDA,
-)
 from ocp.effects.effect import Active, Effect, Scanned, scan_key
 from robots.pose import Array
 
@@ -83,9 +72,9 @@ def play(found: Sequence[Candidate], stack: Stack) -> list[Family]:
         return []
     columns = np.hstack([c.columns[:, 0] * c.effect.prior_sd[0] * ratio_of(c.effect, c.scans) for c in parts])
     m = columns.shape[1]
-    odds, positive = float(np.log(PLAY_ODDS)), np.ones(m, bool)
+    odds, positive = float(np.log(rules.PLAY_ODDS)), np.ones(m, bool)
     projected = stack.apply(columns)[:, None]
-    return [Family(Name("~play"), None, ({},), projected, np.ones(m), BACKGROUND_PLAY, positive, odds, background=True)]
+    return [Family(Name("~play"), None, ({},), projected, np.ones(m), rules.BACKGROUND_PLAY, positive, odds, background=True)]
 
 
 def library_families(found: Sequence[Candidate], stack: Stack, options: Options, active: Set[tuple[str, int]]) -> list[Family]:
@@ -98,7 +87,7 @@ def library_families(found: Sequence[Candidate], stack: Stack, options: Options,
         scale = np.asarray(c.effect.prior_sd, float)
         projected = stack.apply(c.columns.reshape(n, -1)).reshape(n, count, m)
         projected *= scale
-        visible = np.einsum("nvi,nvi->vi", projected, projected).max(axis=1) > SEEN_LAMBDA
+        visible = np.einsum("nvi,nvi->vi", projected, projected).max(axis=1) > rules.SEEN_LAMBDA
         visible |= (c.effect.name, c.joint) in active
         if not visible.any():
             continue
@@ -119,7 +108,7 @@ def ripple_families(families: Sequence[Family], ripples: Ripples | None) -> list
             continue
         sizes, share = usual_ripple(f, ripples)
         odds = float(np.log(share * len(f.scans) / max(f.among, len(f.scans))))
-        for k in range(1, LINES_A_GEAR + 1):
+        for k in range(1, rules.LINES_A_GEAR + 1):
             name = Name(k * "~" + f.name.effect, f.name.joint)
             found.append(replace(f, name=name, effect=None, sizes=sizes, log_odds=odds, background=True))
     return found
@@ -130,27 +119,32 @@ def usual_ripple(f: Family, ripples: Ripples | None) -> tuple[Array, float]:
     other gears of this machine are surely (`QUIET`) below it: where they are, one that is not stands out. Where they are above
     it more likely than not, the line of this gear is one of theirs."""
     assert f.effect is not None
-    usual = np.full(SIZES, BACKGROUND_RIPPLE * ratio_of(f.effect, f.scans))
+    usual = _twin_sizes(f.effect, f.scans)
     if ripples is None:
-        return usual, RIPPLE_ODDS
+        return usual, rules.RIPPLE_ODDS
     sizes, weight = ripples[0] / f.scale[0], np.cumsum(ripples[1][f.name.joint - 1])
 
     def quantile(share: float) -> float:
         return float(sizes[min(int(np.searchsorted(weight, share)), len(sizes) - 1)])
 
-    if quantile(LEADS) > usual[0]:
+    if quantile(rules.LEADS) > usual[0]:
         parts = [quantile((k + 0.5) / SIZES) for k in range(SIZES)]
         return np.maximum(parts, usual), float(1.0 - weight[0])
-    return np.minimum(usual, max(quantile(QUIET), sizes[1])), RIPPLE_ODDS
+    return np.minimum(usual, max(quantile(rules.QUIET), sizes[1])), rules.RIPPLE_ODDS
 
 
 def rival_of(effect: Effect, joint: int, scans: Sequence[Scanned]) -> Rival | None:
     """What of the background takes an effect's gap: its own twin below the usual range, or play in all joints."""
     if has_twin(effect, joint, scans):
-        return Rival(np.full(SIZES, BACKGROUND_RIPPLE * ratio_of(effect, scans)), float(np.log(RIPPLE_ODDS)), 0, len(scans))
+        return Rival(_twin_sizes(effect, scans), float(np.log(rules.RIPPLE_ODDS)), 0, len(scans))
     if joint and "approach" in effect.needs:
-        return Rival(BACKGROUND_PLAY * ratio_of(effect, scans), float(np.log(PLAY_ODDS)), 6 - effect.size, 1)
+        return Rival(rules.BACKGROUND_PLAY * ratio_of(effect, scans), float(np.log(rules.PLAY_ODDS)), 6 - effect.size, 1)
     return None
+
+
+def _twin_sizes(effect: Effect, scans: Sequence[Scanned]) -> Array:
+    """Sizes (T,) of what every machine has a little of, as shares of the upper end."""
+    return np.full(SIZES, rules.BACKGROUND_RIPPLE * ratio_of(effect, scans))
 
 
 def smallest_seen(
@@ -277,7 +271,7 @@ def linearised(channels: Sequence[Channel], library: Mapping[str, Effect], optio
     stacked = stack(tuple(channels), back)
     held = {a.key for c in channels for a in c.active}
     ripples = next((c.ripples for c in channels if isinstance(c, Geared)), None)
-    families = library_families(found, stacked, options, held) + kernel_families(channels, stacked, options)
+    families = library_families(found, stacked, options, held) + kernel_families(channels, stacked)
     whole = make_pool(stacked.y, stacked.freedom, families, stacked.tails)
     there = _held(families, [a for c in channels for a in c.active])
     families = most_telling(whole, [(), there] if there else [()])
@@ -293,14 +287,14 @@ def _held(families: Sequence[Family], active: Sequence[Active]) -> list[Member]:
     return [Member(i, keys.index(key), 1.0) for i, keys, key in rows if key in keys]
 
 
-def kernel_families(channels: Sequence[Channel], stacked: Stack, options: Options) -> list[Family]:
+def kernel_families(channels: Sequence[Channel], stacked: Stack) -> list[Family]:
     """Library-free kernels of each channel as candidates for an effect outside the catalogue."""
     made = list(kernel_columns(channels, stacked))
     kinds = Counter(_kind(kernel) for _, kernel, _ in made)
     found = []
     for name, kernel, columns in made:
-        share = PRIOR_UNKNOWN / len(kinds) / kinds[_kind(kernel)]
-        share *= BROKEN_ORDER_ODDS if "ripple" in kernel.where else 1.0
+        share = rules.PRIOR_UNKNOWN / len(kinds) / kinds[_kind(kernel)]
+        share *= rules.BROKEN_ORDER_ODDS if "ripple" in kernel.where else 1.0
         share *= columns.shape[1] / max(kernel.among, columns.shape[1])
         m, sizes = columns.shape[2], size_grid(kernel.low / kernel.high)
         scans = tuple({"kernel": v} for v in range(columns.shape[1]))

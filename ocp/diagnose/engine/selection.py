@@ -83,7 +83,7 @@ def select_on_held_out(system: System, candidates: Sequence[Candidate], folds: S
     parts = [_Fitted(system, ~np.asarray(f.held, bool)[system.reading]) for f in apart]
     whole = _Fitted(system, np.ones(len(system.residual), bool))
     believed = np.array([held[0, 0] for _, held in (p.squares(system.residual[:, None]) for p in parts)])
-    pool = [_Pooled.of(c, whole) for c in candidates]
+    pool = [_freed(c, whole) for c in candidates]
     chosen: list[Entry] = []
     scores: list[float] = []
     refused: dict[Name, Refused] = {}
@@ -140,18 +140,14 @@ class _Fitted:
         return train.T @ train, held.T @ held / max(len(held), 1)
 
 
-@dataclass(frozen=True)
-class _Pooled:
-    """A candidate less the nuisance of all readings: columns (N + p, V m) over their priors, their products (V, m, m)."""
+Freed = tuple[Array, Array]
+"""A candidate less the nuisance of all readings: columns (N + p, V m) over their priors, their products (V, m, m)."""
 
-    flat: Array
-    G: Array
 
-    @staticmethod
-    def of(c: Candidate, whole: _Fitted) -> "_Pooled":
-        n, V, m = c.columns.shape
-        flat, _ = whole.without((c.columns * _scale(c)).reshape(n, V * m), readings=False)
-        return _Pooled(flat, squares(flat.reshape(-1, V, m)))
+def _freed(c: Candidate, whole: _Fitted) -> Freed:
+    n, V, m = c.columns.shape
+    flat, _ = whole.without((c.columns * _scale(c)).reshape(n, V * m), readings=False)
+    return flat, squares(flat.reshape(-1, V, m))
 
 
 def _ratios(
@@ -176,7 +172,7 @@ def _solved(G: Array, b: Array) -> Array:
 
 
 def _shortlist(
-    whole: _Fitted, system: System, pool: Sequence[_Pooled], candidates: Sequence[Candidate], chosen: Sequence[Entry]
+    whole: _Fitted, system: System, pool: Sequence[Freed], candidates: Sequence[Candidate], chosen: Sequence[Entry]
 ) -> list[Entry]:
     """What gains most on all readings beside what is chosen, the largest first; no values over three times what is usual."""
     fitted = _fitted(whole, system, chosen)
@@ -184,13 +180,13 @@ def _shortlist(
     left = fitted[:, 0] - Q @ (Q.T @ fitted[:, 0])
     taken = {e.name for e in chosen}
     found = []
-    for one, c in zip(pool, candidates, strict=True):
+    for (flat, products), c in zip(pool, candidates, strict=True):
         name = Name(c.effect.name, c.joint)
         if name in taken:
             continue
         _, V, m = c.columns.shape
-        G = one.G - squares((Q.T @ one.flat).reshape(-1, V, m)) + np.eye(m) / rules.WIDE_PRIOR**2
-        b = (left @ one.flat).reshape(V, m)
+        G = products - squares((Q.T @ flat).reshape(-1, V, m)) + np.eye(m) / rules.WIDE_PRIOR**2
+        b = (left @ flat).reshape(V, m)
         a = np.linalg.solve(G, b[..., None])[..., 0]
         gain = np.where((np.abs(a) > rules.IMPLAUSIBLE).any(axis=1), 0.0, np.einsum("vi,vi->v", a, b))
         v = int(np.argmax(gain))

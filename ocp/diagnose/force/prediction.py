@@ -25,6 +25,7 @@ from robots.pose import Array
 
 M = Theta.size
 Both = tuple[Array, Array]  # of fn and ft, N
+Past = tuple[Array, Array, Array, Array]  # force N, stroke m and both readings N (n,), or columns (n, k) of their changes
 TOLERANCE = 2e-4  # N: a step of Newton below this leaves less than 1e-7 N
 ZEROED = (
     "parts",
@@ -131,7 +132,7 @@ def predict_forces(scene: LogScene, x: Array, active: Sequence[Active] = (), nea
         fn_slope, ft_slope = (fn_more - fn) / PROBE, (ft_more - ft) / PROBE
     made = Predicted(x, tuple(active), F, fn, ft, samples, stiffness, fn_slope, ft_slope, rows, _own(scene, x, F))
     late_n, late_t = np.zeros(n), np.zeros(n)
-    for one in whole:
+    for one in remembering(scene, made):
         add_n, add_t = remembered(scene, made, one.effect, one.joint, one.scanned)
         late_n, late_t = late_n + add_n @ one.a, late_t + add_t @ one.a
     return replace(made, fn=fn + late_n, ft=ft + late_t)
@@ -166,16 +167,17 @@ def interference(cell: Cell, effect: Effect, joint: int, scans: Sequence[Scanned
 
 def remembered(scene: LogScene, made: Predicted, effect: Effect, joint: int, scanned: Scanned) -> tuple[Array, Array]:
     """What an effect that remembers the log adds to both readings (n, m) N per unit coefficient."""
+    assert effect.size == 1, f"{effect.name}: what remembers has one coefficient"
     stroke = made.samples[:, PLACE["parts"].start]
-    return _memory(scene, made, effect, joint, scanned, (made.F, stroke, *made.prompt), effect.size)
+    return _memory(scene, made, effect, joint, scanned, (made.F, stroke, *made.prompt))
 
 
-def carried(scene: LogScene, made: Predicted, changes: tuple[Array, Array, Array, Array]) -> tuple[Array, Array]:
+def carried(scene: LogScene, made: Predicted, changes: Past) -> tuple[Array, Array]:
     """What the memory of all that is active makes of changes (n, k) of the force N, of the flange's stroke m and of the contact's
     own share of both readings N: in both readings (n, k) N."""
     normal, shear = np.zeros_like(changes[2]), np.zeros_like(changes[3])
     for one in remembering(scene, made):
-        more = _memory(scene, made, one.effect, one.joint, one.scanned, changes, normal.shape[1])
+        more = _memory(scene, made, one.effect, one.joint, one.scanned, changes)
         normal, shear = normal + one.a[0] * more[0], shear + one.a[0] * more[1]
     return normal, shear
 
@@ -185,20 +187,8 @@ def remembering(scene: LogScene, made: Predicted) -> list[Active]:
     return [a for a in (*scene.given, *made.active) if a.effect.along is not None or a.effect.along_shear is not None]
 
 
-def _memory(
-    scene: LogScene,
-    made: Predicted,
-    effect: Effect,
-    joint: int,
-    scanned: Scanned,
-    past: tuple[Array, Array, Array, Array],
-    count: int,
-) -> tuple[Array, Array]:
-    """Memory (n, count) N in both readings of force, stroke and both readings (n,), or of columns (n, k) of their changes."""
-    none = np.zeros((len(made.F), count))
-    if effect.along is None and effect.along_shear is None:
-        return none, none
-    assert effect.size == 1, f"{effect.name}: what remembers has one coefficient"
+def _memory(scene: LogScene, made: Predicted, effect: Effect, joint: int, scanned: Scanned, past: Past) -> tuple[Array, Array]:
+    """Memory (n, k) N of a past in both readings; k is one where that has no columns."""
     c, parts, slopes = scene.conditions, made.samples[:, PLACE["parts"]], made.samples[:, PLACE["slopes"]]
     whole = slopes.sum(axis=1, keepdims=True)
     share = np.divide(slopes, whole, out=np.zeros_like(slopes), where=whole > 0)
@@ -218,9 +208,13 @@ def _memory(
         clock=c.clock if "clock_s" in c.given else None,
         **same,
     )
-    normal = none if effect.along is None else np.asarray(effect.along(log, joint, scanned), float)
-    if effect.along_shear is not None:
-        return normal, np.asarray(effect.along_shear(log, joint, scanned), float)
+    shear = None if effect.along_shear is None else np.asarray(effect.along_shear(log, joint, scanned), float)
+    if effect.along is None:
+        assert shear is not None
+        return np.zeros_like(shear), shear
+    normal = np.asarray(effect.along(log, joint, scanned), float)
+    if shear is not None:
+        return normal, shear
     # What the contact itself lets go, both readings show; a shift of one reading says so by a hook of its own.
     return normal, normal * scene.shear[:, None]
 

@@ -22,6 +22,7 @@ from ocp.diagnose.engine.evidence import project
 from ocp.diagnose.engine.findings import Options
 from ocp.diagnose.engine.linearisation import log_odds, smallest_seen
 from ocp.diagnose.foresee.planned_tracker import arm_expected, default_poses, planned_channel
+from ocp.diagnose.foresee.separation import few_of
 from ocp.diagnose.rules import LEAST_CONTACT_ROWS, LEAST_READINGS
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.effects.catalogue import library
@@ -106,7 +107,7 @@ def _force_plan(cell: Path, log: ForceLog, known: Sequence[Effect], arm: Calibra
 
 def _with_few(effect: Effect) -> Effect:
     """The effect with the variants that are looked at alone."""
-    return replace(effect, scan=lambda joint, seen: _picked(tuple(effect.scan(joint, seen))))
+    return replace(effect, scan=lambda joint, seen: few_of(tuple(effect.scan(joint, seen)), MOST_SCANS))
 
 
 def _assumed(log: ForceLog) -> list[str]:
@@ -146,7 +147,7 @@ def _shows(channel: Channel, effect: Effect) -> bool:
 
 def energy_of(channel: Channel, project_out: Callable[[Array], Array], effect: Effect, joint: int) -> float:
     """Detectability |M C|^2 / m of an effect at the usual upper end, the median of its variants."""
-    picked = _picked(_scans(channel, effect, joint))
+    picked = few_of(_scans(channel, effect, joint), MOST_SCANS)
     found, columns = channel.variants(effect, joint, picked) if picked else UNSEEN
     sizes = [(project_out(columns[:, v] * np.asarray(effect.prior_sd)) ** 2).sum() for v in range(len(found))]
     return float(np.median(sizes)) / effect.size if found else 0.0
@@ -172,13 +173,6 @@ def _scans(channel: Channel, effect: Effect, joint: int) -> tuple[Scanned, ...]:
 
     assert isinstance(channel, ForceChannel)
     return channel.scan(effect, joint)
-
-
-def _picked(scans: Sequence[Scanned]) -> list[Scanned]:
-    """At most `MOST_SCANS`, evenly over the scan."""
-    if not scans:
-        return []
-    return [scans[k] for k in np.unique(np.linspace(0, len(scans) - 1, min(MOST_SCANS, len(scans))).round().astype(int))]
 
 
 def design_table(known: Sequence[Effect], columns: Sequence[Column], notes: Sequence[str]) -> str:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ocp.diagnose.engine.channel_system import Channel, Scattering, Sealed, effects_key
-from ocp.diagnose.engine.findings import Alternative, Diagnosis, Options
+from ocp.diagnose.engine.findings import Alternative, Diagnosis
 from ocp.diagnose.engine.kernels import conditions_by_name
 from ocp.diagnose.foresee.anticipated import modelled
 from ocp.diagnose.foresee.planned_tracker import channel_about
@@ -38,7 +38,7 @@ def unnamed(diagnosis: Diagnosis, written: Sequence[Active]) -> Unnamed | None:
     first = diagnosis.patches[0].active
     before = next(c for c in diagnosis.baseline if c.name == first[0].scanned["signal"])
     try:
-        after = with_further(_as_seen(before, tuple(written), first), Options())
+        after = with_further(_as_seen(before, tuple(written), first))
     except Infeasible:  # no fit with it comes to rest
         return None
     far = isinstance(after, Scattering) and after.scatters

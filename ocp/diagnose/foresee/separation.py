@@ -68,8 +68,12 @@ def unlike(shared: Sequence[ReadingRows], pair: RivalPair, beside: Sequence[Read
 def scans_of(every: Sequence[ReadingRows], effect: Effect, joint: int) -> list[Scanned]:
     """Variants of an effect that the first rows which show it offer, a few of them evenly over its scan."""
     scans = next((found for c in every if (found := c.variants(effect, joint)[0])), ())
-    pick = np.unique(np.linspace(0, len(scans) - 1, min(MOST_SCANS, len(scans))).round().astype(int))
-    return [scans[k] for k in pick]
+    return few_of(scans, MOST_SCANS)
+
+
+def few_of(scans: Sequence[Scanned], most: int) -> list[Scanned]:
+    """At most so many of a scan, evenly taken."""
+    return [scans[k] for k in np.unique(np.linspace(0, len(scans) - 1, min(most, len(scans))).round().astype(int))]
 
 
 def _rival_columns(every: Sequence[ReadingRows], rival: Effect, joint: int) -> list[Array]:

@@ -401,8 +401,8 @@ class JointChannel:
         columns, known = there.nuisance.columns, self.problem.nuisance.names
         place = there.places_in(known)
         motor = signals.log.q[:, joints - 1]
-        baseline = motor + (columns @ (place @ bare.theta) + shift_of(there, ())).reshape(n, -1)
-        corrected = motor + (columns @ (place @ other.theta) + shift_of(there, other.active)).reshape(n, -1)
+        told = [columns @ (place @ c.theta) + shift_of(there, c.active) for c in (bare, other)]
+        baseline, corrected = (motor + shift.reshape(n, -1) for shift in told)
         noise = np.array([np.hypot(self.problem.noise[int(j)].quick, self.problem.noise[int(j)].slow) for j in joints])
         # Where nobody measured, what the effects change is not known better than by its own size.
         inside = self._inside(joints, signals)

@@ -23,7 +23,7 @@ from ocp.diagnose.tracker.refit import (
     settled,
 )
 from ocp.effects.effect import Active, Effect, Scanned, Surroundings, scan_key
-from ocp.effects.engine.readings import COLUMNS, PlacedReadings, by_readings, displaced, has_columns, motion
+from ocp.effects.engine.readings import COLUMNS, PlacedReadings, by_readings, displaced, motion
 from ocp.effects.motor_harmonic import ratios_of
 from robots.calibration.noise import reading_covariance, whitener
 from robots.gravity import weight_torques
@@ -234,12 +234,4 @@ class TrackerChannel:
     def predict(self, sealed: Readings, active: tuple[Active, ...]) -> Sealed:
         """Baseline and corrected predictions (n, 3) m in the tracker's frame, one sigma of each coordinate."""
         before, after = self.fitted_with(()), self.fitted_with(active)
-        return predict_sealed_readings(
-            before.task,
-            before.fit,
-            after.task,
-            after.fit,
-            after.background.mean,
-            sealed,
-            lambda effect: has_columns(effect, sealed),
-        )
+        return predict_sealed_readings((before.task, before.fit), (after.task, after.fit), after.background.mean, sealed)

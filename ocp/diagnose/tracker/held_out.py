@@ -5,7 +5,7 @@ The fit without a fold differs from the whole fit by well below a millimetre; ab
 micrometre, so one weighted least-squares solution with the priors stands for a nonlinear refit, a thousand times cheaper.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -14,8 +14,8 @@ from scipy.cluster.vq import kmeans2
 from ocp.diagnose.engine.channel_system import Fold, HeldOut, Predictable, Sealed, is_outlier, predictable
 from ocp.diagnose.rules import FOLD_REST, FOLD_TIME, FOLD_WARMTH, LEAST_TURN
 from ocp.diagnose.tracker.refit import RANK, Task, TrackerFit, gap_noise, linearise_with, placed_readings
-from ocp.effects.effect import Active, Effect, prior_sds
-from ocp.effects.engine.readings import PlacedReadings, together
+from ocp.effects.effect import Active, prior_sds
+from ocp.effects.engine.readings import PlacedReadings, has_columns, together
 from robots.calibration.noise import reading_covariance
 from robots.calibration.residuals import points
 from robots.gauss_newton import linear_step
@@ -125,39 +125,35 @@ def _solved(task: Task, fit: TrackerFit, residual: Array, J: Array, prior: Array
 
 
 def predict_sealed_readings(
-    before_task: Task,
-    before: TrackerFit,
-    after_task: Task,
-    after: TrackerFit,
-    lasting: Array,
-    sealed: Readings,
-    says: Callable[[Effect], bool],
+    before: tuple[Task, TrackerFit], after: tuple[Task, TrackerFit], lasting: Array, sealed: Readings
 ) -> Sealed:
     """`sealed` use the same names (targets, payloads, stations) as the readings that were fitted; `before` has no effects.
-    lasting (6,): mean square rad^2 of each joint's errors that last (`background`); says: whether the conditions have what
-    an effect needs."""
-    parted = predictable(after.active, says)
+    lasting (6,): mean square rad^2 of each joint's errors that last (`background`)."""
+    task, fit = after
+    parted = _predictable(fit.active, sealed)
     seen = replace(sealed, turn=None, sigma_turn=None, point=np.nan_to_num(sealed.point))
-    baseline = _points(before_task, before, seen, lasting, Predictable((), (), np.zeros(0, np.int64)), says)[0]
-    corrected, covariance = _points(after_task, after, seen, lasting, parted, says)
-    there = placed_readings(after_task, after.state, (*after_task.believed, *after.active))
-    usual = np.mean(added(parted.unknown, there, after)[1] ** 2, axis=0)
+    baseline = _points(*before, seen, lasting, Predictable((), (), np.zeros(0, np.int64)))[0]
+    corrected, covariance = _points(task, fit, seen, lasting, parted)
+    there = placed_readings(task, fit.state, (*task.believed, *fit.active))
+    usual = np.mean(added(parted.unknown, there, fit)[1] ** 2, axis=0)
     sigma = np.sqrt(np.maximum(np.einsum("nii->ni", covariance), 0.0) + usual)
     return Sealed(baseline, corrected, sigma, parted.lacking)
 
 
-def _points(
-    task: Task, fit: TrackerFit, sealed: Readings, lasting: Array, parted: Predictable, says: Callable[[Effect], bool]
-) -> tuple[Array, Array]:
+def _predictable(active: Sequence[Active], sealed: Readings) -> Predictable:
+    """Effects parted by whether the conditions have what each needs."""
+    return predictable(active, lambda effect: has_columns(effect, sealed))
+
+
+def _points(task: Task, fit: TrackerFit, sealed: Readings, lasting: Array, parted: Predictable) -> tuple[Array, Array]:
     """Points (n, 3) m in the tracker's frame, with the effects that are known there, and covariance (n, 3, 3) m^2 of where
     noise-free reflectors will be; lasting (6,): mean square rad^2 of each joint's errors that are the same whenever its axis
     comes back, and so are in noise-free readings."""
     c = task.campaign
     # Effects of the tracker and of the base act on where the reflector is: predicted, as nobody measured it.
     place = points(c.robot, sealed, c.instrument, fit.state)
-    asked = replace(
-        task, campaign=replace(c, readings=replace(sealed, point=place)), believed=predictable(task.believed, says).known
-    )
+    believed = _predictable(task.believed, sealed).known
+    asked = replace(task, campaign=replace(c, readings=replace(sealed, point=place)), believed=believed)
     linear, extra = linearise_with(asked, fit.state, parted.known)
     J = np.concatenate([linear.J, extra], axis=2)
     own = linear.J.shape[2]

@@ -119,7 +119,8 @@ class Task:
 
 def refit(task: Task, state: State, offset: Array, active: Sequence[Active], noise: Noise) -> TrackerFit:
     """Fit from `state` and the active effects' values, the joint noise with it."""
-    found = _settled(task, state, offset, tuple(active), noise)
+    begun, none = tuple(active), np.zeros(0)
+    found = settled(task, TrackerFit(state, offset, begun, *linearise_with(task, state, begun), none, none, noise, none))
     for _ in range(3):
         used = freedom_used(task.layout, found)
         off = found.linear.residual
@@ -127,15 +128,22 @@ def refit(task: Task, state: State, offset: Array, active: Sequence[Active], noi
         after = joint_noise(off, c.readings, c.instrument, found.linear.d_joints, used, *usual_noise(task.repeats))
         small = abs(np.log(after.joints / noise.joints)) < 0.02
         noise = after
-        found = _settled(task, found.state, found.offset, found.active, noise, (found.linear, found.extra))
+        found = settled(task, replace(found, noise=noise))
         if small:
             break
     return found
 
 
 def settled(task: Task, fit: TrackerFit) -> TrackerFit:
-    """`fit` brought to rest with the priors and readings of `task`; its joint noise stays."""
-    return _settled(task, fit.state, fit.offset, fit.active, fit.noise)
+    """`fit` brought to rest with the priors of `task`, its joint noise as it is: Gauss-Newton until a step is small against the
+    posterior."""
+    start = _Point(task, fit)
+    known = np.isfinite(start.prior_sd)
+    found = minimise(start, known.astype(float), Rule(STEPS, SETTLED**2 * len(known), rank=RANK))
+    at, scale, size = found.at.fit, start.scale, task.layout.size
+    covariance = scale[:, None] * found.last.covariance * scale[None, :]
+    named = with_coefficients(at.active, coefficients(at.active), covariance[size:, size:])
+    return replace(at, active=named, covariance=covariance)
 
 
 def freedom_used(layout: Layout, fit: TrackerFit) -> float:
@@ -273,26 +281,6 @@ class _Point:
         linear, extra = linearise_with(self.task, state, active)
         offset = fit.offset + step[:size]
         return replace(self, fit=replace(fit, state=state, offset=offset, active=active, linear=linear, extra=extra))
-
-
-def _settled(
-    task: Task,
-    state: State,
-    offset: Array,
-    active: tuple[Active, ...],
-    noise: Noise,
-    here: tuple[Linearised, Array] | None = None,
-) -> TrackerFit:
-    """Gauss-Newton until a step is small against the posterior; here: `linearise_with` at the beginning where it is known."""
-    linear, extra = linearise_with(task, state, active) if here is None else here
-    none = np.zeros(0)
-    start = _Point(task, TrackerFit(state, offset, active, linear, extra, none, none, noise, none))
-    known = np.isfinite(start.prior_sd)
-    found = minimise(start, known.astype(float), Rule(STEPS, SETTLED**2 * len(known), rank=RANK))
-    at, scale, size = found.at.fit, start.scale, task.layout.size
-    covariance = scale[:, None] * found.last.covariance * scale[None, :]
-    named = with_coefficients(at.active, coefficients(at.active), covariance[size:, size:])
-    return replace(at, active=named, covariance=covariance)
 
 
 def believed_baseline(

@@ -106,7 +106,7 @@ def findings(
     failed, tries = dict[Name, str](), 0
     while True:
         found = posterior(problem, search)
-        weighed, best = leader(problem, search, found)
+        weighed, best = leader(problem, found)
         active = problem.values(weighed)
         channels = refitted(baseline, problem, active)
         if channels is not None:
@@ -153,7 +153,7 @@ def findings(
     )
 
 
-def leader(problem: Linearisation, search: Search, found: Posterior) -> tuple[Weighed, Names]:
+def leader(problem: Linearisation, found: Posterior) -> tuple[Weighed, Names]:
     """The set whose effects are accepted and its explanation: none, or the one that is most probable with all that differ from it
     by names of one class and are less probable: three words for one cause are no three causes. Without the classes force world 24
     of seed 63 (flange_stiffness and backlash) leaves its backlash out."""

@@ -15,7 +15,7 @@ from ocp.diagnose import rules
 from ocp.diagnose.engine.beam import Search
 from ocp.diagnose.engine.channel_system import Channel, Patchable, ReadingConditions
 from ocp.diagnose.engine.evidence import stack
-from ocp.diagnose.engine.findings import Alternative, Name, Options
+from ocp.diagnose.engine.findings import Alternative, Name
 from ocp.diagnose.engine.kernels import conditions_by_name, is_periodic, kernels, middle_of
 from ocp.diagnose.engine.linearisation import Linearisation, kernel_families
 from ocp.diagnose.engine.pool import given, make_pool, scan
@@ -101,14 +101,14 @@ def in_the_other_course(name: Name, c: ReadingConditions) -> Name | None:
     return None if there is None else replace(name, effect=name.effect.replace(there, swapped[there]))
 
 
-def with_further(channel: Channel, options: Options) -> Channel:
+def with_further(channel: Channel) -> Channel:
     """A channel whose patch leaves something with further patches, as long as a kernel gains more than it costs; of a force log
     all act on the arm, or none does: what it says of an arm is one direction."""
     own = {one.scanned["source"] in ON_ARM for one in channel.active if is_patch(one.effect)}
     kept = "" if channel.name == "tracker" else "joint" if own == {True} else "reading"
     for _ in range(rules.MOST_PATCHES - 1):
         stacked = stack((channel,), np.zeros(len(channel.system.residual)))
-        families = [f for f in kernel_families((channel,), stacked, options) if f.name.effect.endswith(kept)]
+        families = [f for f in kernel_families((channel,), stacked) if f.name.effect.endswith(kept)]
         pool = make_pool(stacked.y, stacked.freedom, families)
         told = scan(pool, given(pool, ()))
         value = told.log + np.array([f.log_odds for f in families])

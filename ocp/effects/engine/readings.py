@@ -169,14 +169,14 @@ def displaced(found: Motion, d_joints: Array) -> Array:
     if shift is None:
         assert point is not None
         return point
-    moving = np.flatnonzero(shift.any(axis=0).any(axis=(0, 2)))  # most effects move one joint
+    moving = np.flatnonzero(np.any(shift.any(axis=0), axis=(0, 2)))  # most effects move one joint
     moved = by_readings(d_joints[:, :, moving], shift[:, :, moving])
     return np.asarray(moved if point is None else moved + point)
 
 
 def by_readings(matrices: Array, columns: Array) -> Array:
-    """Products (V, n, i, m) of a matrix (n, i, k) of each reading with its columns (V, n, k, m), of all variants at once; they lie
-    by readings. Lone columns are taken alone: their sums' last digits differ otherwise, by which draws of a promise turn."""
+    """Products (V, n, i, m) of a matrix (n, i, k) of each reading with its columns (V, n, k, m), all variants' at once; in memory
+    they lie by readings. Lone columns go one by one: other last digits would turn the draws of a promise."""
     V, n, k, m = columns.shape
     if m == 1:
         return np.asarray(matrices @ columns)
