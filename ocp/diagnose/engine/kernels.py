@@ -301,7 +301,9 @@ def times(first: Words, second: Words) -> list[str]:
 
 def in_numbers(words: Words, x: Conditions) -> Array:
     """Features (n, m) of conditions."""
-    return np.column_stack([reduce(np.multiply, [_factor(text, x) for text in word.split(" * ")]) for word in words])
+    parts = [word.split(" * ") for word in words]
+    known = {text: _factor(text, x) for text in {text for texts in parts for text in texts}}
+    return np.column_stack([reduce(np.multiply, [known[text] for text in texts]) for texts in parts])
 
 
 def _factor(text: str, x: Conditions) -> Array:

@@ -127,12 +127,13 @@ class _Fitted:
     def without(self, B: Array, readings: bool = True) -> tuple[Array, Array]:
         """Columns B (N, k) less the nuisance: rows of the fit with the priors' below, and all other rows; readings: whether the
         first column is the readings, whose priors have a mean."""
-        prior = np.zeros((len(self.mean), B.shape[1]))
+        n, fitted = len(self.Q) - len(self.mean), np.zeros((len(self.Q), B.shape[1]))
+        np.compress(self.rows, B, axis=0, out=fitted[:n])
         if readings:
-            prior[:, 0] = self.mean
-        fitted = np.vstack([B[self.rows], prior])
+            fitted[n:, 0] = self.mean
         turned = self.Q.T @ fitted
-        return fitted - self.Q @ turned, B[~self.rows] - self.others @ turned
+        fitted -= self.Q @ turned
+        return fitted, B[~self.rows] - self.others @ turned
 
     def squares(self, B: Array) -> tuple[Array, Array]:
         """Products (k, k) of columns B (N, k), the readings first, less the nuisance: in the fit, and over other rows, a mean."""
