@@ -196,8 +196,9 @@ def stacked_columns(
         parts = [p if there else c.variants(effect, joint, chosen) for c, p, there in zip(channels, parts, same, strict=True)]
     if not any(found for found, _ in parts):
         return np.zeros((0, 0, effect.size)), ()
-    none = [np.zeros((len(c.system.residual), len(chosen), effect.size)) for c in channels]
-    return np.concatenate([made if found else zero for (found, made), zero in zip(parts, none, strict=True)]), chosen
+    size = len(chosen), effect.size
+    made = [m if found else np.zeros((len(c.system.residual), *size)) for c, (found, m) in zip(channels, parts, strict=True)]
+    return made[0] if len(made) == 1 else np.concatenate(made), chosen
 
 
 def put_back(channels: Sequence[ReadingRows], active: Sequence[Active]) -> Array:

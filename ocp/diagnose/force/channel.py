@@ -251,12 +251,6 @@ class ForceChannel:
         """Temperature deg C that warmth is told above."""
         return self.problem.scene.cell.tables.reference_temperature_C
 
-    def sealed_conditions(self, sealed: ForceLog) -> tuple[ReadingConditions, frozenset[str]]:
-        """What is known of rows nobody has seen, and the columns that they have."""
-        used = 0.0 if sealed.clock is not None else float(self.problem.scene.conditions.clock.max())
-        known = log_conditions(self.problem.scene.cell, sealed, used)
-        return logged_conditions(self.problem, sealed, known), known.given
-
     def predict(self, sealed: ForceLog, active: tuple[Active, ...]) -> Sealed:
         """Baseline and corrected normal reading (n, 1) N of conditions nobody has seen, one sigma of the corrected one."""
         after = self.fitted_with(active)

@@ -8,7 +8,7 @@ encoders, are judged by what they bring out (`Lever`).
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 from scipy.special import expit
@@ -101,11 +101,7 @@ def _simulated(d: Diagnosis, pairs: Sequence[RivalPair]) -> tuple[Experiment, ..
 
 def _force_channel(channels: Sequence[Channel]) -> "ForceChannel | None":
     """The channel of the force log, if there is one."""
-    if not any(c.name == FORCE for c in channels):
-        return None
-    from ocp.diagnose.force.channel import ForceChannel
-
-    return next(c for c in channels if isinstance(c, ForceChannel))
+    return cast("ForceChannel | None", next((c for c in channels if c.name == FORCE), None))
 
 
 def rival_pairs(d: Diagnosis, library: dict[str, Effect]) -> list[RivalPair]:

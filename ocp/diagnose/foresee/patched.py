@@ -119,11 +119,11 @@ def beyond(channel: Channel, patches: Sequence[Active], sealed: Any) -> tuple[Ar
 
 def _beyond_log(channel: Channel, patches: Sequence[Active], sealed: Any) -> tuple[Array, NDArray[np.bool_]]:
     """`beyond` of a force log: as wide as the priors of the patches' features are in the log, on average."""
-    from ocp.diagnose.force.channel import ForceChannel  # blade and contact: only for those who measured force
+    from ocp.diagnose.force.channel import ForceChannel, logged_conditions  # blade and contact: only for those who measured force
 
     assert isinstance(channel, ForceChannel)
-    known, given = channel.sealed_conditions(sealed)
-    conditions = conditions_by_name(known, channel.reference)
+    asked = channel.asked(sealed)
+    conditions = conditions_by_name(logged_conditions(channel.problem, sealed, asked.there.conditions), channel.reference)
     open_, inside, place = np.zeros(len(sealed)), np.full(len(sealed), True), sum(channel.problem.sizes)
     named = {one.key for one in patches}
     usual = np.mean(channel.fit.normal[channel.log.contact] ** 2, axis=0)
@@ -131,7 +131,7 @@ def _beyond_log(channel: Channel, patches: Sequence[Active], sealed: Any) -> tup
         here, place = slice(place, place + one.effect.size), place + one.effect.size
         if one.key not in named:
             continue
-        if not given.issuperset(one.effect.needs):  # its usual size is in the predictions' sigma
+        if not asked.says(one.effect):  # its usual size is in the predictions' sigma
             inside[:] = False
             continue
         d = lengths_outside(unfaded([one])[0], conditions)

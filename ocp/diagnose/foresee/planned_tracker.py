@@ -77,11 +77,8 @@ def _spread(r: Readings) -> Readings:
 def before_and_after(readings: Readings) -> Readings:
     """The same few postures at the start of a campaign like the one made, then at its end."""
     like = _spread(readings)
-    assert like.time is not None and like.temperature is not None
-    n = len(like)
     length = 7200.0 if readings.time is None else max(float(np.ptp(readings.time)), 3600.0)
-    warmth = np.concatenate([like.temperature, like.temperature + WARM])
-    return replace(_twice(like), time=np.repeat([0.0, length], n), temperature=warmth)
+    return _again_warm(like, np.repeat([0.0, length], len(like)))
 
 
 def _planned(do: str, readings: Readings, more: float = 0.0) -> PlannedReadings:
@@ -107,10 +104,8 @@ def _swaps(channel: TrackerChannel, like: Readings) -> list[PlannedReadings]:
 
 
 def _warmed(like: Readings) -> PlannedReadings:
-    assert like.temperature is not None and like.time is not None
-    n = len(like)
-    warmth, time = np.concatenate([like.temperature, like.temperature + WARM]), np.concatenate([like.time, like.time + 4500.0])
-    later = replace(_twice(like), temperature=warmth, time=time)
+    assert like.time is not None
+    n, later = len(like), _again_warm(like, np.concatenate([like.time, like.time + 4500.0]))
     do = (
         f"warm-up: measure {n} postures cold, let the arm run fast for an hour (about {WARM:.0f} K), measure them again; record "
         "time_s and temperature_C, and three fixed reflectors on the floor before and after"
@@ -159,6 +154,12 @@ def _sweep(channel: TrackerChannel, like: Readings, joint: int) -> PlannedReadin
     ends = f"{np.degrees(low):.0f} to {np.degrees(high):.0f} deg"
     do = f"one-axis sweep: only axis {joint} from {ends} and back in {SWEEP} uneven steps, the other axes at rest"
     return _planned(do, replace(middle, q=q, approach=approach))
+
+
+def _again_warm(like: Readings, time: Array) -> Readings:
+    """Readings, and the same on the warm arm, at times (2 n,) s."""
+    assert like.temperature is not None
+    return replace(_twice(like), time=time, temperature=np.concatenate([like.temperature, like.temperature + WARM]))
 
 
 def _twice(like: Readings) -> Readings:
