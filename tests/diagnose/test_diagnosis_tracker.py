@@ -213,7 +213,7 @@ def test_a_soft_joint_under_weights_that_no_catalogue_knows_is_all_that_is_named
 @pytest.mark.parametrize("quiet, named", [(QUIET, True), (2.0, False)])
 def test_a_small_ripple_stands_out_where_all_other_gears_are_quiet(quiet, named, monkeypatch):
     """18 urad, below the usual range, in one gear; for any gear's ripple where the others were not asked."""
-    monkeypatch.setattr("ocp.diagnose.engine.linearisation.QUIET", quiet)
+    monkeypatch.setattr("ocp.diagnose.rules.QUIET", quiet)
     readings, _ = world(21, lambda r: column(2, 1.8e-5 * np.cos(52 * r.q[:, 1] + 0.5)), n=250)
     found = diagnosed(readings)
     assert ({Name(*a.key) for a in found.active} == {Name("gear_harmonic", 2)}) == named, found.ranking[:2]
@@ -239,7 +239,7 @@ def test_what_no_repeatability_scatters_is_in_the_sigma():
 @pytest.mark.parametrize("lines, named", [(LINES_A_GEAR, False), (1, True)])
 def test_the_ripple_of_a_gear_among_loud_ones_is_no_effect(lines, named, monkeypatch):
     """With one line a gear in the background the names of others are its second and third."""
-    monkeypatch.setattr("ocp.diagnose.engine.linearisation.LINES_A_GEAR", lines)
+    monkeypatch.setattr("ocp.diagnose.rules.LINES_A_GEAR", lines)
     found = diagnosed(world(22, loud)[0])
     assert bool(found.active) == named, found.ranking[:3]
 

@@ -120,7 +120,7 @@ class Task:
 def refit(task: Task, state: State, offset: Array, active: Sequence[Active], noise: Noise) -> TrackerFit:
     """Fit from `state` and the active effects' values, the joint noise with it."""
     begun, none = tuple(active), np.zeros(0)
-    found = settled(task, TrackerFit(state, offset, begun, *linearise_with(task, state, begun), none, none, noise, none))
+    found = _rested(task, TrackerFit(state, offset, begun, *linearise_with(task, state, begun), none, none, noise, none))
     for _ in range(3):
         used = freedom_used(task.layout, found)
         off = found.linear.residual
@@ -128,15 +128,20 @@ def refit(task: Task, state: State, offset: Array, active: Sequence[Active], noi
         after = joint_noise(off, c.readings, c.instrument, found.linear.d_joints, used, *usual_noise(task.repeats))
         small = abs(np.log(after.joints / noise.joints)) < 0.02
         noise = after
-        found = settled(task, replace(found, noise=noise))
+        found = _rested(task, replace(found, noise=noise))
         if small:
             break
     return found
 
 
 def settled(task: Task, fit: TrackerFit) -> TrackerFit:
-    """`fit` brought to rest with the priors of `task`, its joint noise as it is: Gauss-Newton until a step is small against the
-    posterior."""
+    """`fit` brought to rest with the priors and readings of `task`; its joint noise stays."""
+    linear, extra = linearise_with(task, fit.state, fit.active)
+    return _rested(task, replace(fit, linear=linear, extra=extra))
+
+
+def _rested(task: Task, fit: TrackerFit) -> TrackerFit:
+    """Gauss-Newton from a fit that is linear about these readings, until a step is small against the posterior."""
     start = _Point(task, fit)
     known = np.isfinite(start.prior_sd)
     found = minimise(start, known.astype(float), Rule(STEPS, SETTLED**2 * len(known), rank=RANK))
