@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 
 from ocp.diagnose.report.evidence import evidence_section
 from ocp.diagnose.report.verdict_sentence import SHORT, diagnosis_headline, effect_words, figure, shrinkage_words
-from ocp.diagnose.report.where import draw_bars, where_section
+from ocp.diagnose.report.where import ROW, draw_bars, where_section
 from ocp.diagnose.verdict.answer import Answer, SignalGap, figures
 from ocp.diagnose.verdict.shrinkage import NONE
 from ocp.report.parts import Plot, Points, Table, made_from, table
@@ -19,7 +19,6 @@ from ocp.report.section import Part, Section
 from ocp.report.style import AFTER, BEFORE, INK, RULE, SOFT, shorten
 
 MOST_NAMED = 10
-ROW = 0.2  # inch a bar
 
 
 def which_effect_section(answer: Answer) -> Section:

@@ -21,9 +21,8 @@ from ocp.report.workspace import draw_by_joint, draw_vectors, exaggeration
 from robots.pose import Array
 
 MOST = 10
-SURE = 0.01  # p-value up to which a line of the budget is drawn as found
-_ROW = 0.2  # inch a bar
-CERTAIN = 0.01  # p-value up to which a peak is marked as found
+SURE = 0.01  # p-value up to which a line of the budget or a peak is drawn as found
+ROW = 0.2  # inch a bar
 
 
 def where_section(answer: Answer) -> Section:
@@ -49,7 +48,7 @@ def budget_plot(answer: Answer) -> Plot:
         "What the gap beyond noise goes with, before any effect is named and without the catalogue: share of its mean square "
         "that a dependence on the condition explains. Light: chance would do as well (the p-value stands behind)."
     )
-    return Plot("budget", caption, 0.6 + _ROW * max(rows, 2), lambda canvas: _draw_budget(canvas, answer))
+    return Plot("budget", caption, 0.6 + ROW * max(rows, 2), lambda canvas: _draw_budget(canvas, answer))
 
 
 def _lines(answer: Answer) -> list[BudgetLine]:
@@ -199,7 +198,7 @@ def _draw_spectra(canvas: Canvas, peaks: tuple[SpectrumPeak, ...], rows: int) ->
     top = max((float(np.max(p.power)) for p in peaks), default=1.0) or 1.0
     several = len({p.signal for p in peaks}) > 1
     for ax, peak in zip(axes, peaks, strict=False):
-        found = peak.p_value <= CERTAIN
+        found = peak.p_value <= SURE
         ax.plot(peak.orders, peak.power / top, color=AFTER if found else BEFORE, lw=0.8)
         ax.set_xscale("log")
         ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
