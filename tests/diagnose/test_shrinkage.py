@@ -31,6 +31,7 @@ from ocp.diagnose.verdict.shrinkage import (
     Anticipated,
     NewReadings,
     Shrinkage,
+    drawn_errors,
     from_model,
     promised_by_kind,
     promised_later,
@@ -81,6 +82,19 @@ def test_what_the_effects_move_and_what_remains_make_the_promise():
     assert carried.predicted == pytest.approx(1 - np.sqrt((1 + 24 * 0.04) / (1 + 24 * 0.64)), abs=0.01)
     unsure = from_model(new(24.0), [], 1.0, (1.0, 0.2))
     assert unsure.low < found.low - 0.1 and unsure.predicted < found.predicted
+
+
+def test_draws_of_errors_have_their_covariance_and_hang_on_no_last_digit():
+    rng = np.random.default_rng(2)
+    size = 10.0 ** rng.uniform(-6, 3, 8)
+    alike = np.eye(8) + 1e-16 * rng.normal(size=(8, 8))  # eigenvalues next to each other: their vectors may be any
+    alike[6, 7] = alike[7, 6] = 0.9
+    alike[0], alike[:, 0] = 0.0, 0.0  # known
+    C = alike * np.outer(size, size)
+    drawn = drawn_errors(C, np.random.default_rng(0))
+    again = drawn_errors(C * (1 + 1e-15 * rng.normal(size=C.shape)), np.random.default_rng(0))
+    assert drawn / size == pytest.approx(again / size, abs=1e-12) and not drawn[:, 0].any()
+    assert np.cov((drawn / size).T) == pytest.approx(alike, abs=0.15)
 
 
 def test_doubt_about_the_name_is_in_the_promise():

@@ -101,9 +101,12 @@ def from_model(
 
 
 def drawn_errors(covariance: Array, rng: np.random.Generator) -> Array:
-    """Draws (k, p) of the parameters' errors."""
-    root = covariance_root(covariance)
-    return np.asarray(rng.normal(size=(DRAWS, root.shape[1])) @ root.T)
+    """Draws (k, p) of the parameters' errors. Their root is the symmetric one, which the last digits of a covariance do not
+    move: eigenvectors turn with them where eigenvalues are close, and a promise would be another on another machine."""
+    sd = np.sqrt(np.diag(covariance))
+    scale = np.where(sd > 0, sd, 1.0)
+    turned, size, _ = np.linalg.svd(covariance_root(covariance) / scale[:, None], full_matrices=False)
+    return np.asarray((rng.normal(size=(DRAWS, len(sd))) @ turned * size) @ turned.T * sd)
 
 
 def _conditions(new: Anticipated, rng: np.random.Generator) -> Array:
