@@ -10,8 +10,9 @@ import pytest
 from ocp.diagnose import answering
 from ocp.diagnose.answering import grouped, write_diagnosis
 from ocp.diagnose.dataset import beyond_log, beyond_measured
-from ocp.diagnose.engine.findings import Name
+from ocp.diagnose.engine.findings import Location, Name
 from ocp.diagnose.report import verdict_sentence
+from ocp.diagnose.verdict.shrinkage import ANOTHER_DAY, Shrinkage
 from ocp.shell.progress import Phases
 from tests.support.diagnosis_folder import write_tracker_folder
 from tests.support.simulated_campaign import campaign_readings
@@ -124,7 +125,7 @@ def test_what_is_named_and_not_corrected_is_told_with_its_reason():
         return SimpleNamespace(key=(name, joint))
 
     def told(written, high):
-        gap = SimpleNamespace(promise={"another setpoint": SimpleNamespace(high=high)})
+        gap = SimpleNamespace(harmed=("another setpoint",) if high < 0 else ())
         found = SimpleNamespace(active=(active("backlash", 3), active("wheel_wear", 0)))
         return verdict_sentence.not_written(SimpleNamespace(diagnosis=found, written=written, gaps=(gap,)))
 
@@ -137,3 +138,31 @@ def test_what_is_named_and_not_corrected_is_told_with_its_reason():
     assert told(both[1:], -1.0).startswith(
         "Backlash of joint 3 is not in the corrected cell: another setpoint, when left out, said"
     )
+
+
+def test_a_promise_of_what_is_not_written_says_so():
+    play, wear = (SimpleNamespace(key=key, effect=None, joint=key[1], scanned={}) for key in (("backlash", 3), ("wheel_wear", 0)))
+    shown = SimpleNamespace(active=(play,), variants=lambda effect, joint, scans=None: ((1,), None))
+    told = Shrinkage(0.6, 0.4, 0.7)
+    figures = {"name": "tracker", "unit": "mm", "noise_floor": 0.02, "before": np.ones(3), "after": np.ones(3)}
+    gap = SimpleNamespace(**figures, corrected=shown, shrinkage=told, promise={ANOTHER_DAY: told}, there="there")
+    found = SimpleNamespace(active=(play, wear), p_unknown=0.0)
+
+    def words(*written):
+        answer = SimpleNamespace(gaps=(gap,), written=written, diagnosis=found)
+        return verdict_sentence._promise(answer), verdict_sentence._better(answer)
+
+    assert all("should be gone" in one and "would" not in one for one in words(play))
+    assert all("would be gone if that were corrected" in one for one in words())
+
+
+def test_what_stays_above_the_instruments_noise_is_told_though_it_has_no_name():
+    at = Location("tracker", "joint", 2, ("approach2",))
+    gap = SimpleNamespace(name="tracker", unit="mm", remaining=SimpleNamespace(above_noise=0.015))
+    quiet = SimpleNamespace(name="force", unit="N", remaining=SimpleNamespace(above_noise=0.0))
+    found = SimpleNamespace(remainder=at)
+    told = verdict_sentence._still(SimpleNamespace(gaps=(gap, quiet), diagnosis=found))
+    assert told.startswith(
+        "; 0.015 mm of the tracker gap stay above the instrument's noise, mostly in joint 2, with the direction"
+    )
+    assert verdict_sentence._still(SimpleNamespace(gaps=(quiet,), diagnosis=found)) == ""

@@ -16,7 +16,7 @@ from ocp.diagnose.engine.evidence import project
 from ocp.diagnose.engine.findings import Alternative, Diagnosis, Explanation, Name, Options
 from ocp.diagnose.engine.linearisation import linearised
 from ocp.diagnose.engine.pool import Member, make_pool
-from ocp.diagnose.foresee.anticipated import anticipated, signal_gap
+from ocp.diagnose.foresee.anticipated import _beyond_measured, anticipated, signal_gap
 from ocp.diagnose.rules import BACKGROUND_SIZES, NO_BACKGROUND, NO_OTHER_RIPPLE
 from ocp.diagnose.tracker.background import DRAWS, _line, _Waves, _weights, _with_further, background
 from ocp.diagnose.tracker.channel import TrackerChannel
@@ -379,6 +379,24 @@ def test_only_what_is_promised_above_zero_is_written():
         (0.0, 0.0, (backlash,)),
     ):  # a left-out condition that says surely no
         assert promised(found, [gap_of(0.1, ("backlash",), later=Shrinkage(-0.5, low, high))]) == written
+    doubtful = gap_of(0.1, ("backlash",), later=Shrinkage(-0.1, -0.3, 0.1))
+    assert promised(found, [doubtful]) == (backlash,) and doubtful.harmed == ()
+    assert promised(found, [replace(doubtful, beyond=("later",))]) == ()  # what is asked for is later
+    assert replace(doubtful, beyond=("later",)).harmed == ("later",)
+
+
+def test_conditions_are_later_or_warmer_where_most_of_them_are():
+    known = SimpleNamespace(time=np.linspace(0.0, 100.0, 9), temperature=np.linspace(20.0, 25.0, 9))
+
+    def kinds(time, temperature):
+        return _beyond_measured(SimpleNamespace(readings=known), SimpleNamespace(time=time, temperature=temperature))
+
+    later, warm = np.array([90.0, 150.0, 200.0]), np.array([24.0, 26.0, 27.0])
+    assert kinds(later, warm) == ("later", "another temperature") and kinds(None, None) == ()
+    assert kinds(later - 80.0, warm - 10.0) == ("another temperature",)
+    assert kinds(later - 400.0, warm - 3.0) == ()  # before the campaign is not after it
+    log = SimpleNamespace(clock=known.time, temperature=None, time=np.zeros(9))
+    assert _beyond_measured(SimpleNamespace(log=log), SimpleNamespace(clock=later, temperature=warm)) == ("later",)
 
 
 def test_a_condition_that_the_believed_cell_hardly_knows_says_no_harm():

@@ -58,7 +58,20 @@ def signal_gap(diagnosis: Diagnosis, before: Channel, after: Channel, sealed: An
     left = remaining(after, diagnosis.left_over)
     left = Remaining(scale * left.above_noise, left.p_value)
     figures = before.name, before.unit, after.noise_floor, sizes[0], sizes[1]
-    return SignalGap(*figures, shrinkage, promise, told, left, before, after, asked)
+    beyond = _beyond_measured(after, sealed) if asked else ()
+    return SignalGap(*figures, shrinkage, promise, told, left, before, after, asked, beyond)
+
+
+def _beyond_measured(channel: Channel, sealed: Any) -> tuple[str, ...]:
+    """Kinds of new data, as folds are called, of which most of the conditions `sealed` are: later, or warmer or colder."""
+    known = getattr(channel, "log", getattr(channel, "readings", None))
+    found = []
+    for kind, column in (("later", "clock" if hasattr(known, "clock") else "time"), ("another temperature", "temperature")):
+        was, asked = getattr(known, column, None), getattr(sealed, column, None)
+        if was is not None and asked is not None:
+            middle = float(np.nanmedian(asked))
+            found += [kind] if middle > np.nanmax(was) or (kind != "later" and middle < np.nanmin(was)) else []
+    return tuple(found)
 
 
 def _shrinkage(

@@ -6,9 +6,10 @@ With it effects, conditions and figures as a person says them.
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from ocp.diagnose.engine.channel_system import shows
 from ocp.diagnose.engine.findings import Diagnosis, Location, Name
 from ocp.diagnose.rules import LEADS
-from ocp.diagnose.verdict.answer import Answer, Patched, figures, there_of
+from ocp.diagnose.verdict.answer import Answer, Patched, SignalGap, figures, there_of
 from ocp.diagnose.verdict.patching import formula_of
 from ocp.diagnose.verdict.shrinkage import ANOTHER_DAY, NONE, Shrinkage
 from ocp.effects.catalogue import library
@@ -84,8 +85,8 @@ def _number_words(value: Any) -> str:
 
 
 SIGNALS = {"tracker": "the laser tracker's readings", "force": "the force readings", "joint": "the link-side encoders"}
-LEAST_WAVES = 2.5  # a turn: slower ones are no ripple
 CERTAIN = 0.95  # marginal probability from which an effect is called certain where the whole is not settled
+LEAST_WAVES = 2.5  # a turn: slower ones are no ripple
 VERDICTS = {
     "explained": "Explained.",
     "ambiguous": "Narrowed down, not settled.",
@@ -133,7 +134,7 @@ def not_written(answer: Answer) -> str:
     kept = [Name(*a.key) for a in answer.diagnosis.active if a.key not in held]
     if not kept:
         return ""
-    harmed = dict.fromkeys(kind for g in answer.gaps for kind, one in g.promise.items() if one.high < 0.0)
+    harmed = dict.fromkeys(kind for g in answer.gaps for kind in g.harmed)
     one = bool(held) and len(kept) == 1
     which = f"{_capital(effects_words(kept))} {'is' if one else 'are'}" if held else "The named effects are"
     doubt = "what it promises may be nothing" if one else "what they promise may be nothing"
@@ -145,7 +146,8 @@ def verdict_sentence(answer: Answer) -> str:
     """What the gap is explained by, how far that is settled, how much of the gap goes with it."""
     d = answer.diagnosis
     if d.verdict == "no_gap":
-        return f"{_levels(answer)}: what is left is what instruments and repeatability make. Sure to {percent(d.p_none)}."
+        left = _still(answer) or ": what is left is what instruments and repeatability make"
+        return f"{_levels(answer)}{left}. Sure to {percent(d.p_none)}."
     if told_as(d) == "unexplained":
         chance = f"the chance that it is one outside is {percent(d.p_unknown)}"
         return f"It lies in {_place(d.location)}{_with(d.location)}{_ripple(answer)}. No effect of the catalogue fits; {chance}."
@@ -156,7 +158,8 @@ def verdict_sentence(answer: Answer) -> str:
         first = f"{what} {verb} a part of the gap ({percent(best.probability)})"
         return f"{first}; something outside the catalogue remains{_remainder(answer)}. {_levels(answer)}{_promise(answer)}."
     if d.verdict == "explained":
-        return f"{what} {verb} the gap (sure to {percent(best.probability)}). {_levels(answer)}{_promise(answer)}."
+        told = f"{what} {verb} the gap (sure to {percent(best.probability)})"
+        return f"{told}. {_levels(answer)}{_still(answer)}{_promise(answer)}."
     certain = [r.name for r in d.ranking if r.probability >= CERTAIN and r.name in best.names]
     if certain:
         verb = "is" if len(certain) == 1 else "are"
@@ -179,6 +182,17 @@ def _remainder(answer: Answer) -> str:
     gap = next((g for g in answer.gaps if at is not None and g.name == at.signal), answer.gaps[0])
     size = f"{figure(gap.remaining.above_noise)} {gap.unit} above the instrument's noise, " if gap.remaining.above_noise else ""
     return f"{'' if at is None else f' in {_place(at)}{_with(at)}'} ({size}sure to {percent(d.p_unknown)})"
+
+
+def _still(answer: Answer) -> str:
+    """What is left above the instrument's noise, though none of it is told: usual play and ripple, or what is too small."""
+    at, left = answer.diagnosis.remainder, [g for g in answer.gaps if g.remaining.above_noise]
+    if not left:
+        return ""
+    told = listed([f"{figure(g.remaining.above_noise)} {g.unit} of the {SHORT[g.name]} gap" for g in left])
+    there = at is not None and at.signal in [g.name for g in left]
+    where = f", mostly in {_place(at)}{_with(at).replace(', and goes with', ', with')}" if there else ""
+    return f"; {told} stay above the instrument's noise{where}: too little to name, or what every gear makes"
 
 
 def _ripple(answer: Answer) -> str:
@@ -216,12 +230,19 @@ def _levels(answer: Answer) -> str:
 
 def _promise(answer: Answer) -> str:
     told = [
-        f"{shrinkage_words(gap.shrinkage)} of the {SHORT[gap.name]} gap should be gone {gap.there}, "
+        f"{shrinkage_words(gap.shrinkage)} of the {SHORT[gap.name]} gap {_gone(answer, gap)} {gap.there}, "
         f"{shrinkage_words(gap.promise[ANOTHER_DAY])} on another day"
         for gap in answer.gaps
         if gap.shrinkage is not None and gap.shrinkage != NONE
     ]
     return "".join(f"; {one}" for one in told)
+
+
+def _gone(answer: Answer, gap: SignalGap) -> str:
+    """That it 'should be gone', or would be if what it is promised of were corrected, which it is not."""
+    held = {a.key for a in answer.written}
+    kept = any(a.key not in held and shows(gap.corrected, a) for a in gap.corrected.active)
+    return "would be gone if that were corrected," if kept else "should be gone"
 
 
 def shrinkage_words(s: Shrinkage) -> str:
@@ -272,7 +293,7 @@ def _better(answer: Answer) -> str:
                 "; what has no name is in that noise" if unknown else "; the gap is too small beside it to speak of shrinking"
             )
         elif gap.shrinkage != NONE:
-            words += f"; {gap.there} {shrinkage_words(gap.shrinkage)} of the gap beyond noise should be gone"
+            words += f"; {gap.there} {shrinkage_words(gap.shrinkage)} of the gap beyond noise {_gone(answer, gap).rstrip(',')}"
         parts.append(words)
     return "; ".join(parts)
 

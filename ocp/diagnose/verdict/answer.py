@@ -26,7 +26,8 @@ class SignalGap:
     """The gap of one signal: channel before and after, sizes (n,) of the readings' errors in `unit`, outliers apart, noise
     floor; shrinkage to expect, promise by what is new in them, and by what was withheld (None: no gap there to
     speak of); remaining: rms in `unit` above the instrument's noise after the effects, and the probability that noise alone
-    leaves as much; asked: whether the shrinkage is that under the conditions that are to be predicted."""
+    leaves as much; asked: whether the shrinkage is that under the conditions that are to be predicted; beyond: kinds of
+    condition in which most of these lie outside of what was measured."""
 
     name: str
     unit: str
@@ -40,11 +41,24 @@ class SignalGap:
     baseline: Channel
     corrected: Channel
     asked: bool = False
+    beyond: tuple[str, ...] = ()
 
     @property
     def there(self) -> str:
         """Of what the shrinkage is promised."""
         return there_of(self.asked)
+
+    @property
+    def harmed(self) -> tuple[str, ...]:
+        """Kinds of condition that say, left out, that the gap grows: surely, or, asked for beyond what was measured, rather."""
+        return tuple(k for k, one in self.promise.items() if one.high < 0.0 or (k in self.beyond and one.predicted < 0.0))
+
+    @property
+    def helps(self) -> bool:
+        """Whether a correction with this promise may be written. Where a condition left out takes what an effect is told by,
+        nothing changes there: that says neither that it helps nor that it harms."""
+        assert self.shrinkage is not None
+        return min(self.shrinkage.low, self.promise.get(ANOTHER_DAY, self.shrinkage).low) > 0.0 and not self.harmed
 
 
 @dataclass(frozen=True)
@@ -107,22 +121,15 @@ class Answer:
 
 def promised(diagnosis: Diagnosis, gaps: Sequence[SignalGap]) -> tuple[Active, ...]:
     """Named effects that do no harm: every signal which shows one, and has a gap to speak of, promises with the low end of its
-    interval above zero that the gap shrinks, on another day too, and no kind of condition that was left out says surely that it
-    grows; one signal at least does."""
+    interval above zero that the gap shrinks, on another day too, and no kind of condition that was left out says that it grows;
+    one signal at least does."""
     found = []
     for one in diagnosis.active:
         shown = [g for g in gaps if shows(g.corrected, one)]
-        told = [harmless(g.shrinkage, g.promise) for g in shown if g.shrinkage is not None]
+        told = [g.helps for g in shown if g.shrinkage is not None]
         if told and all(told):
             found.append(one)
     return tuple(found)
-
-
-def harmless(shrinkage: Shrinkage, promise: Mapping[str, Shrinkage]) -> bool:
-    """Whether a correction with this promise, by kind of new data, may be written. Where a condition left out takes what an
-    effect is told by, nothing changes there: that says neither that it helps nor that it harms."""
-    later = promise.get(ANOTHER_DAY, shrinkage)
-    return min(shrinkage.low, later.low) > 0.0 and all(one.high >= 0.0 for one in promise.values())
 
 
 def figures(sizes: Array) -> dict[str, float]:
