@@ -186,7 +186,7 @@ def _write_json(plan: Plan, written: _Written, summary: list[tuple[str, str]], g
     """plan.json: status, summary, inputs and their hashes, versions; the only file that tells of this machine."""
     content = {
         "schema": 1,
-        "status": "safe",
+        "status": grades.status,
         "verdict": grades.sentences(),
         "grades": grades.document(),
         "summary": dict(summary) | {"Functions of the model": plan.evaluated_by},

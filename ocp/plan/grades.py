@@ -9,7 +9,7 @@ import numpy as np
 
 from ocp.model.cell import Cell, ForceFlange
 from ocp.model.theta import BLOCKS
-from ocp.plan.programming import force_tolerance
+from ocp.plan.passes.optimise import force_tolerance
 from ocp.plan.readback import BlendError, Readback
 from ocp.plan.rules import FORCE_SHARE, LEAST_STRETCH, STOP_PRELOAD, UNCERTAIN_FORCE
 from robots.gravity import GRAVITY
@@ -50,6 +50,11 @@ class Grades:
         if self.force.grade == RED:
             return "Safe to move, not to grind."
         return "Safe to use." if {self.move.grade, self.force.grade} == {GREEN} else "Safe to use, with care."
+
+    @property
+    def status(self) -> str:
+        """The verdict in a word for programs."""
+        return "safe_to_move" if self.force.grade == RED else "safe"
 
 
 def grade_move(readback: Readback) -> Grade:

@@ -20,7 +20,7 @@ from ocp.plan.passes.stretches import CannotGrind
 from ocp.plan.removal.dwell import PROBE, askew, probed_lines, with_feeds
 from ocp.plan.removal.surface import SideCells, flank_cells
 from ocp.plan.removal.wanted import Wanted, wanted_of
-from ocp.plan.rules import WHEEL_ROOM
+from ocp.plan.rules import FLANGE_SHARE, WHEEL_ROOM
 from robots.errors import BadInput
 from robots.kinematics import forward
 from robots.pose import Array, apply
@@ -80,8 +80,28 @@ class LaidPaths:
 def lay_paths(cell: Cell, stl: Path, options: PlanOptions) -> LaidPaths:
     """Read the blade, find its aerofoil and lay the passes the cell asks for.
 
-    Raises BadInput: the STL, the clamp, the margins or the path handed in cannot be used.
+    Raises BadInput: the STL, the clamp, the margins or the path handed in cannot be used, or the flange stands across it.
     """
+    laid = _laid(cell, stl, options)
+    refuse_flange_across(cell, laid.paths)
+    return laid
+
+
+def refuse_flange_across(cell: Cell, paths: list[BladePath]) -> None:
+    """Raises BadInput where the flange's axis stands across the contact's normal on most of the paths."""
+    if cell.flange is None or cell.flange.axis is None:
+        return
+    axis = cell.workpiece.T_flange_blade[:3, :3].T @ cell.flange.axis
+    share = float(np.median(np.abs(np.concatenate([path.n for path in paths]) @ axis)))
+    if share < FLANGE_SHARE:
+        raise BadInput(
+            f"{cell.path}: force_flange.axis stands {np.degrees(np.arccos(share)):.0f} deg to the normal of most of the blade: "
+            "the flange gives along its axis alone and would hardly hold a force there; correct the axis (flange frame), or the "
+            "blade in its holder"
+        )
+
+
+def _laid(cell: Cell, stl: Path, options: PlanOptions) -> LaidPaths:
     blade = read_blade(stl, cell.workpiece.stl_unit)
     shape = find_shape(blade, cell.workpiece.aerofoil)
     cloud = surface_cloud(shape, blade)

@@ -11,13 +11,8 @@ import numpy as np
 
 from ocp.model.cell import Cell, wheel_frame
 from ocp.plan.motion import MotionSegment, PlannedMotion
-from ocp.plan.rules import (
-    EMITTED_AIR_TOLERANCE,
-    EMITTED_FORCE_SHARE,
-    EMITTED_TOLERANCE,
-    FLANGE_FORCE_TOLERANCE,
-    RIGID_FORCE_TOLERANCE,
-)
+from ocp.plan.passes.optimise import force_tolerance
+from ocp.plan.rules import EMITTED_AIR_TOLERANCE, EMITTED_FORCE_SHARE, EMITTED_TOLERANCE
 from robots.kinematics import forward
 from robots.pose import Array, apply
 from robots.tracker_readings import Hanging
@@ -58,11 +53,6 @@ def grinding_program(cell: Cell, motion: PlannedMotion, kind: str, name: str) ->
     dialect = dialect_named(cell.controller.dialect)
     setup = program_setup(cell, cell.workpiece.payload, kind)
     return build_program(dialect, name, setup, groups, labels, lambda q: forward(cell.robot, q), tolerance, moved)
-
-
-def force_tolerance(cell: Cell) -> float:
-    """N that the program read back may be off by, with the cell's flange or without one."""
-    return RIGID_FORCE_TOLERANCE if cell.flange is None else FLANGE_FORCE_TOLERANCE
 
 
 def program_setup(cell: Cell, load: Hanging, kind: str = "axis") -> Setup:

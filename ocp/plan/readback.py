@@ -12,9 +12,8 @@ from ocp.contact.wheel.cover import Cover
 from ocp.model.blade_gap import SurfaceCloud
 from ocp.model.cell import Cell
 from ocp.plan.motion import MotionSegment, PlannedMotion
-from ocp.plan.passes.optimise import LEAST_DIRECT, SolvedPass
+from ocp.plan.passes.optimise import LEAST_DIRECT, SolvedPass, force_tolerance
 from ocp.plan.passes.stretches import CannotGrind
-from ocp.plan.programming import force_tolerance
 from ocp.plan.rules import BLOCK_TIME_TOLERANCE, EMITTED_TOLERANCE, GAP_TOLERANCE, LEAST_STRETCH, READ_BACK_LIMIT, STRAY
 from ocp.plan.second_route import BelievedRobot, VerifiedPass, gaps, verify_pass
 from ocp.shell.processes import side_by_side

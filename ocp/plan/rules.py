@@ -91,6 +91,10 @@ force on the blade. Reason: the mission's requirement."""
 RIGID_FORCE_TOLERANCE = 2.0
 """[N] The same without a force flange. Guards: the force on the blade. Reason: the mission's requirement."""
 
+FLANGE_SHARE = 0.5
+"""[-] Of the contact's normal along the flange's axis, in the middle of the paths. Guards: the flange holds the force, not the
+stiff arm. Reason: judgement; at 60 deg it is four times as stiff as along its axis."""
+
 UNCERTAIN_FORCE = 2.0
 """[sd] So many standard deviations of the force on the real cell below the force asked for: else the verdict is that the cell
 has to be calibrated first. Guards: a force that may be double or none. Reason: 95 % of what the covariance allows."""

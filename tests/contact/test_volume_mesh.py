@@ -109,6 +109,15 @@ def test_fallback_mesher_fills_the_surface(monkeypatch):
     assert result.mesher == "fTetWild" and abs(result.volume_error) < 0.01
 
 
+def test_a_mesh_of_too_many_elements_is_made_with_longer_edges(monkeypatch):
+    surface = arrays(trimesh.creation.box((0.02, 0.01, 0.005)))
+    fine = len(volume_mesh(*surface, 2e-3).mesh.elements)
+    monkeypatch.setattr(module, "MAX_ELEMENTS", round(0.7 * fine))
+    coarser = volume_mesh(*surface, 2e-3)
+    assert coarser.mesher == "netgen" and 0.1 * fine < len(coarser.mesh.elements) <= 0.7 * fine
+    assert abs(coarser.volume_error) < 0.01
+
+
 def test_no_mesher_is_a_sentence(monkeypatch):
     monkeypatch.setattr(module, "SECONDS", {"netgen": 0.01, "fTetWild": 0.01})
     with pytest.raises(BadInput, match=r"could not be filled .*netgen at 4 mm: not done after .*fTetWild.*repair") as caught:

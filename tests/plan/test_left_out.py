@@ -13,7 +13,8 @@ from ocp.contact.wheel.signorini import LocalShape, solve_force
 from ocp.model.prepare import wheel_cover
 from ocp.plan.clearance import CollisionScene
 from ocp.plan.files import _verified
-from ocp.plan.passes.optimise import GroundLines, PassWorker, refuse_ends
+from ocp.plan.passes.course import lengthened
+from ocp.plan.passes.optimise import GroundLines, PassWorker, refuse_ends, refuse_uneven_leads
 from ocp.plan.passes.posture import contact_poses, impossible, seeds_of_stretches
 from ocp.plan.passes.stretches import (
     HALVINGS,
@@ -32,7 +33,7 @@ from ocp.plan.passes.stretches import (
 )
 from ocp.plan.planning import left_out_too
 from ocp.plan.readback import force_error
-from ocp.plan.rules import LEAST_STRETCH, SEED_INDENTATION, STRETCH_ROOM
+from ocp.plan.rules import FLANGE_FORCE_TOLERANCE, LEAST_STRETCH, SEED_INDENTATION, STRETCH_ROOM
 from ocp.plan.second_route import VerifiedPass
 from robots.errors import Infeasible
 from tests.support.example_pass import LineLaw, bar_pass, bundled_cell
@@ -123,6 +124,35 @@ def test_without_a_place_the_line_is_halved_and_nothing_lost_until_that_has_an_e
     for cuts, length in ((HALVINGS, 0.078), (0, 1.9 * LEAST_STRETCH)):
         pieces, (lost,) = cut_out(stretch(cuts, length=length), Infeasible("the optimiser stopped"))
         assert not pieces and lost.reason == "the optimiser stopped" and lost.length == pytest.approx(length)
+
+
+def test_a_line_of_few_points_is_not_halved_into_less_than_a_pass():
+    path = line(length=0.012)
+    few = replace(path, **{name: getattr(path, name)[[0, 13, 26, 39]] for name in ("p", "n", "t", "s", "curvature", "extent")})
+    few = replace(few, feed=path.feed[:4], force=path.force[:4])
+    pieces, (lost,) = cut_out(LineStretch(few, np.zeros((4, 3)), 0), Infeasible("the optimiser stopped"))
+    assert not pieces and lost.length == pytest.approx(0.012)
+
+
+def test_an_uneven_surface_beside_the_line_is_not_led_in_over():
+    """A step of the surface between two nodes, before the line or on it."""
+    cell, path = bundled_cell(), lengthened(line(), 0.010, 0.0)
+    s = path.s
+
+    def refused(at, step, **flange):
+        off = np.where(s < at, step, 0.0)
+        problem = SimpleNamespace(path=path, indentation_correction=off)
+        one = SimpleNamespace(problem=problem, evaluation=SimpleNamespace(stiffness=np.full(len(s), 5000.0)))
+        try:
+            refuse_uneven_leads(replace(cell, **flange), one, 0.078)
+        except CannotGrind as error:
+            return bool(error.at.size)
+        return False
+
+    limit = 2.0 * FLANGE_FORCE_TOLERANCE / 5000.0
+    assert refused(-0.004, 1.01 * limit) and not refused(-0.004, 0.99 * limit)
+    assert not refused(0.030, 10.0 * limit)  # the verification judges that
+    assert not refused(-0.004, 5.0 * limit, flange=None)
 
 
 def test_cutting_has_an_end_where_every_cut_shows_another_place():

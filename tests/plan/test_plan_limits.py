@@ -29,7 +29,7 @@ from ocp.data import CELL
 from ocp.model.blade_gap import SurfaceCloud
 from ocp.plan import readback, rules
 from ocp.plan.clearance import Clearance, CollisionScene
-from ocp.plan.grades import grade_force, stop_preload
+from ocp.plan.grades import Grades, grade_force, stop_preload
 from ocp.plan.motion import _timed as _timed_pass
 from ocp.plan.motion import is_free
 from ocp.plan.passes import posture
@@ -42,7 +42,7 @@ from ocp.plan.passes.solve import PassSolver, refuse_violated
 from ocp.plan.passes.stage import N_PLAIN_ROWS, N_ROWS, ROWS
 from ocp.plan.passes.stretches import CannotGrind, LeftOut, LineStretch, cut_out, refuse_mostly_left_out, whole_lines
 from ocp.plan.passes.transcription import N_DYNAMIC
-from ocp.plan.paths import PlanOptions
+from ocp.plan.paths import PlanOptions, refuse_flange_across
 from ocp.plan.planning import make_plan
 from ocp.plan.readback import BlendError, _timed, force_error
 from ocp.plan.removal.dwell import beyond_reach
@@ -559,6 +559,7 @@ def test_a_force_that_may_be_double_or_none_is_not_called_ready(cell):
         found = grade_force(cell, 20.0, 20.0 / rules.UNCERTAIN_FORCE + more, 0.02)
         assert found.grade == grade
         assert ("calibrate the cell before the blade touches the wheel" in found.why) == (grade == "red")
+        assert Grades(found, found, "20 N").status == ("safe_to_move" if grade == "red" else "safe")
 
 
 def test_feeds_that_a_wanted_depth_may_ask_for(cell):
@@ -568,7 +569,28 @@ def test_feeds_that_a_wanted_depth_may_ask_for(cell):
             asked = replace(path, feed=np.where(np.arange(len(path.s)) < 5, feed * factor, path.feed))
             error = beyond_reach(cell, asked, Wanted())
             assert (error is not None) == named
+            if error is not None and named:
+                kept = float(error.would_do.split("feed_mm_s to ")[1].split(",")[0]) / (1e3 * cell.process.feed)
+                again = replace(asked, feed=asked.feed * kept)  # feeds go as the process' own
+                assert beyond_reach(cell, again, Wanted()) is None or again.feed[0] == pytest.approx(feed, rel=5e-3)
     assert error is not None and len(error.at) == 5
+    known = beyond_reach(cell, asked, Wanted(programmed_um=10.0))
+    assert known is not None and "ask for more depth" in known.would_do and "feed_mm_s" not in known.would_do
+
+
+def test_a_flange_that_stands_across_the_blade_is_refused(cell):
+    normal = cell.workpiece.T_flange_blade[:3, :3] @ bar_pass().n[0]
+    beside = np.cross(normal, [0.0, 0.0, 1.0] if abs(normal[2]) < 0.9 else [1.0, 0.0, 0.0])
+    beside /= np.linalg.norm(beside)
+    for share, refused in ((rules.FLANGE_SHARE + 1e-3, False), (rules.FLANGE_SHARE - 1e-3, True)):
+        axis = share * normal + np.sqrt(1 - share**2) * beside
+        held = replace(cell, flange=replace(cell.flange, axis=axis))
+        if refused:
+            with pytest.raises(BadInput, match="force_flange.axis stands 60 deg to the normal"):
+                refuse_flange_across(held, [bar_pass()])
+        else:
+            refuse_flange_across(held, [bar_pass()])
+    refuse_flange_across(replace(cell, flange=None), [bar_pass()])
 
 
 def test_a_force_that_is_not_known_to_a_twentieth_is_amber(cell):

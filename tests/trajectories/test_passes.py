@@ -158,6 +158,7 @@ def test_a_blade_held_at_its_tip_is_ground_the_other_way(sample):
         ({"side": "left"}, "'convex'"),
         ({"direction": "diagonal"}, "'spanwise' or 'chordwise'"),
         ({"spacing": 0.0}, "pass_spacing_mm = 0"),
+        ({"clamp_normal": (1.0, 0.0, 0.0), "clamp_offset": 0.02}, "the clamp plane stands along the blade, not across it"),
         ({"clamp_normal": (0.0, 0.0, 0.0)}, "clamp_normal"),
     ],
 )

@@ -13,6 +13,7 @@ from trajectories.blade.mesh import Blade
 from trajectories.blade.shape import AerofoilShape
 
 _GRID = 201
+ACROSS = 0.7  # least share of the span along the clamp plane's normal where nothing of the blade is left to grind
 GAP = 0.5e-3  # m: room that must stay between the wheel and whatever is not aerofoil
 _SAMPLING = 2e-3  # m: distance of the points that stand for block and platform
 _STATIONS = 121  # places along a pass that are looked at
@@ -75,12 +76,22 @@ def ground_window(name: str, shape: AerofoilShape, side: SideSurface, margins: M
     v_lo, v_hi = (last, first) if flip else (first, last)
     inside = (u >= u_lo.min()) & (u <= u_hi.max())
     if np.isnan(v_lo + v_hi)[inside].any() or (v_hi <= v_lo)[inside].any():
+        along = float(margins.normal @ shape.frame.axis)
+        if abs(along) < ACROSS:
+            raise BadInput(
+                f"{name}: the clamp plane stands along the blade, not across it: its normal is {_direction(margins.normal)} "
+                f"and the span runs along {_direction(shape.frame.axis)}; correct workpiece.clamp_axis or clamp_normal"
+            )
         raise BadInput(
             f"{name}: the clamp plane with root_margin_mm = {1e3 * margins.root:g} and tip_margin_mm = "
             f"{1e3 * margins.tip:g} leave nothing of the {1e3 * float(np.ptp(shape.v)):.1f} mm of aerofoil on the "
             f"{side.name} side; make the margins smaller or move the clamp."
         )
     return Window(u, v, u_lo, u_hi, v_lo, v_hi, flip, cut)
+
+
+def _direction(v: Array) -> str:
+    return f"({', '.join(f'{c:.2f}' for c in v + 0.0)})"
 
 
 def _clamp_distance(shape: AerofoilShape, side: SideSurface, margins: Margins, end: float) -> float:

@@ -27,6 +27,7 @@ GROWTH = 0.3  # of edge length per distance from that plane
 TOLERANCE = 1e-5  # m the remeshed surface may leave the STL; a hundredth of the thickness of a 1 mm blade
 LOOSE_TOLERANCE = 2e-5  # m, for fTetWild, whose time grows as its envelope gets thin
 MAX_ELEMENTS = 60_000  # more would take minutes and gigabytes
+COARSENED, COARSER = 3, 1.1  # tries with too many elements, and by how much longer their edges get than the count asks for
 MAX_VOLUME_ERROR = 0.01  # of the surface's volume
 SECONDS = {"netgen": 180.0, "fTetWild": 300.0}  # after which a mesher is given up
 _UNIT = 1e-3  # m: meshers get millimetres, for which their absolute tolerances are made
@@ -121,12 +122,7 @@ def _attempts(
     reasons = []
     for mesher, scale in (("netgen", 1.0), ("netgen", 0.8), ("fTetWild", 1.0)):
         try:
-            if mesher == "netgen":
-                surface = remesh(vertices, faces, _size_law(scale * size, fine_plane), TOLERANCE)
-            else:
-                surface = vertices, faces
-            points, tetrahedra = _run(mesher, *surface, scale * size)
-            return *_checked(points, tetrahedra, inside), mesher
+            return *_checked(*_filled(mesher, vertices, faces, scale * size, fine_plane), inside), mesher
         except ValueError as error:
             reasons.append(f"{mesher} at {scale * size * 1e3:.3g} mm: {error}")
     raise BadInput(
@@ -134,6 +130,20 @@ def _attempts(
         + "; ".join(reasons)
         + "); repair the surface in the CAD system or choose another element size"
     )
+
+
+def _filled(
+    mesher: str, vertices: Array, faces: Index, size: float, fine_plane: tuple[Array, float] | None
+) -> tuple[Array, Index]:
+    """What a mesher makes of a surface, with longer edges where those of `size` m would be too many elements. Raises ValueError
+    as `_run`."""
+    for _ in range(COARSENED):
+        surface = remesh(vertices, faces, _size_law(size, fine_plane), TOLERANCE) if mesher == "netgen" else (vertices, faces)
+        points, tetrahedra = _run(mesher, *surface, size)
+        if len(tetrahedra) <= MAX_ELEMENTS:
+            break
+        size *= COARSER * (len(tetrahedra) / MAX_ELEMENTS) ** 0.5  # those at the clamp plane are the most: they are an area
+    return points, tetrahedra
 
 
 def _run(mesher: str, vertices: Array, faces: Index, size: float) -> tuple[Array, Index]:

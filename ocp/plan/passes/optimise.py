@@ -29,7 +29,16 @@ from ocp.plan.passes.stage import ObjectiveWeights
 from ocp.plan.passes.stretches import CannotGrind, LeftOut, LineStretch, cut_out, joined
 from ocp.plan.removal.dwell import DrivenLine
 from ocp.plan.removal.footprint import contacts_along, shape_under
-from ocp.plan.rules import DIRECT_TOLERANCE, LIFT_OFF, LIFT_RESERVE, SECONDARY_CONTACT_TOLERANCE, STROKE_RESERVE, WHEEL_ROOM
+from ocp.plan.rules import (
+    DIRECT_TOLERANCE,
+    FLANGE_FORCE_TOLERANCE,
+    LIFT_OFF,
+    LIFT_RESERVE,
+    RIGID_FORCE_TOLERANCE,
+    SECONDARY_CONTACT_TOLERANCE,
+    STROKE_RESERVE,
+    WHEEL_ROOM,
+)
 from ocp.shell.cache import Entry, code_hash, content_key, flattened, rebuilt, remember
 from ocp.shell.native import evaluated_by, left_uncompiled
 from ocp.shell.processes import cores, interrupts_held_back, workers
@@ -182,6 +191,7 @@ class PassWorker:
                     whole = self._whole_way(problem, line, led)
                     one = self._solve(replace(whole, turn_limit=limit * self.ground.cell.process.turn_tolerance))
                     refuse_ends(self.ground.cell, self.scene, one)
+                    refuse_uneven_leads(self.ground.cell, one, float(path.s[-1]))
                     return one
                 except Infeasible as error:
                     turned = isinstance(error, CannotGrind) and seed.direction < 0
@@ -321,6 +331,22 @@ def refuse_ends(cell: Cell, scene: CollisionScene, one: SolvedPass) -> None:
     reason = f"lifted {LIFT_OFF * 1e3:.0f} mm off the wheel the blade would still be {-ends.min() * 1e3:.1f} mm too near to it"
     remedy = "use a smaller or narrower wheel, or larger margins beside block and shroud"
     raise CannotGrind.of(path, where, reason, remedy, 0 if ends[0] < 0 else len(poses) - 1)
+
+
+def force_tolerance(cell: Cell) -> float:
+    """N that the program read back may be off by, with the cell's flange or without one."""
+    return RIGID_FORCE_TOLERANCE if cell.flange is None else FLANGE_FORCE_TOLERANCE
+
+
+def refuse_uneven_leads(cell: Cell, one: SolvedPass, length: float) -> None:
+    """Raises CannotGrind of a pass that is led in or out, beyond its line of `length` m, over a surface so uneven that its force
+    would not be held between two nodes: a fillet or a step that the line itself keeps away from."""
+    path, off = one.problem.path, one.problem.indentation_correction * one.evaluation.stiffness
+    bend = np.concatenate([[0.0], 0.5 * np.abs(np.diff(off, 2)), [0.0]])
+    where = (bend > force_tolerance(cell)) & ((path.s < 0.0) | (path.s > length))
+    if where.any():
+        k = int(np.argmax(bend * where))
+        raise CannotGrind.of(path, where, "the surface beside the line is too uneven to be led in over", "use larger margins", k)
 
 
 def _other_wheel(cell: Cell, beside: SecondaryContact) -> str:

@@ -166,10 +166,12 @@ def cut_out(stretch: LineStretch, error: Infeasible) -> tuple[list[LineStretch],
     """
     path, s = stretch.path, stretch.path.s
     known = isinstance(error, CannotGrind) and len(error.at) > 0
-    if not known and stretch.cuts < HALVINGS and s[-1] >= 2 * LEAST_STRETCH:
+    if not known and stretch.cuts < HALVINGS:
         middle = int(np.argmin(np.abs(s - 0.5 * s[-1])))
         # A waypoint belongs to one of them: a place of a line has one arc length and one pass.
-        return [stretch.piece(0, middle), stretch.piece(middle + 1, len(s) - 1)], []
+        halves = [(0, middle), (min(middle + 1, len(s) - 1), len(s) - 1)]
+        if all(s[j] - s[i] >= LEAST_STRETCH for i, j in halves):
+            return [stretch.piece(i, j) for i, j in halves], []
     bad = np.ones(len(s), bool)
     if isinstance(error, CannotGrind) and known and stretch.cuts < MOST_CUTS:
         at = s[error.nodes(s)]
