@@ -135,7 +135,7 @@ def _asked(plan: Plan) -> tuple[float, str]:
     """Largest force that the paths ask for, N, and all of them in words."""
     force = np.concatenate([p.problem.path.force * p.problem.way.peak for p in plan.motion.passes])
     low, high = float(force.min()), float(force.max())
-    return high, f"{high:g} N" if high - low < 1e-9 else f"the {low:.3g} to {high:.3g} N asked for"
+    return high, f"{high:g} N" if high - low < 1e-9 else f"the {low:.3g} to {high:.3g} N planned"
 
 
 def _summary(plan: Plan, written: _Written) -> list[tuple[str, str]]:
