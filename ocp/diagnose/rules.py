@@ -373,6 +373,14 @@ RESTLESS = 3.5
 """[-] Of the usual joint noise, above which what the residual asks for is a gap, not noise. Guards: an effect that hides in the
 noise. Reason: none is known; nearly two of USUAL_JOINT_NOISE_SD."""
 
+UNEVEN = 1.5
+"""[-] Times the joint noise of the others, above which readings of one nest, payload, session or stand may scatter more. Guards:
+'no gap' and names against a nest that flops, which one noise for all holds. Reason: of 36 clean worlds by another hand none has
+a group above 1.8 (of 17 readings), none is told; a nest that flops by 0.05 mm rms has 1.7."""
+
+LEAST_GROUP = 8
+"""[readings] Of such a group, and of the others. Guards: as UNEVEN. Reason: 24 numbers, a scatter known to 15 %."""
+
 REPEATED_NOISE_SD = 0.3
 """[-] One sigma of the logarithm of the joint noise where repeats tell it, the scatter of few repeats apart. Guards: as
 USUAL_JOINT_NOISE_SD. Reason: repeats in place show less than coming back from afar; by how much nobody knows."""

@@ -16,12 +16,15 @@ from ocp.diagnose.tracker.weights import link_torques, weighed_links
 from ocp.diagnose.verdict import diagnosis
 from ocp.diagnose.verdict.diagnosis import diagnose_channels
 from ocp.diagnose.verdict.doubts import cancelling, implausible
+from ocp.diagnose.verdict.remaining import remaining
 from ocp.effects.catalogue import library
 from ocp.effects.effect import Active
 from ocp.effects.engine.evaluate import arm_shift
 from ocp.effects.engine.readings import together
 from robots.calibration.layout import moved
+from robots.calibration.noise import Noise, reading_covariance
 from robots.calibration.solver import Campaign
+from robots.calibration.uneven import scatter_by_group
 from robots.errors import BadInput
 from robots.gravity import weight_torques
 from robots.tracker_readings import read_readings
@@ -234,6 +237,44 @@ def test_what_no_repeatability_scatters_is_in_the_sigma():
     levers = np.sum(c.fit.linear.d_joints**2, axis=(0, 1))
     assert c.restless(1.0) and c.background.mean @ levers / levers.sum() < c.fit.noise.joints**2
     assert 0.8 < np.sqrt(np.mean(((sealed.baseline - points(new)) / sealed.sigma) ** 2)) < 1.25
+
+
+def flopping(r):
+    """The third nest hangs by 0.2 mm to one side or the other."""
+    side = np.random.default_rng(5).choice([-1.0, 1.0], len(r)) * (r.target == 2)
+    return 2e-4 * side[:, None] * np.array([0.6, 0.0, 0.8])
+
+
+def test_a_nest_that_flops_is_no_noise_of_the_joints():
+    readings, points = world(27, moved=flopping, n=100)
+    found = diagnosed(readings)
+    assert found.verdict == "unexplained" and found.unknown_reasons
+    for place in (found.location, found.remainder):
+        assert (place.subsystem, place.depends_on, place.segments) == ("target", ("target",), (readings.targets[2],))
+    after = found.channels[0]
+    left = remaining(after, ())
+    assert left.p_value < 1e-6 and 0.8 < after.uneven.rms / 2e-4 < 1.2
+    assert left.above_noise == pytest.approx(after.uneven.rms * np.sqrt(np.mean(readings.target == 2)))
+    sealed = after.predict(readings, ())
+    off = np.abs(sealed.baseline - points(readings))[readings.target == 2]
+    assert off.max() < 3.0 * sealed.sigma[readings.target == 2].max()
+
+
+@pytest.mark.parametrize("far", [1.0, 4.0])
+def test_readings_scatter_alike_whatever_their_levers_and_the_faults_among_them(far):
+    """Of a nest four times as far out, two gross ones; the tracker's own noise in it."""
+    rng = np.random.default_rng(3)
+    readings = replace(campaign_readings(rng, 300), point=rng.uniform(1.0, 4.0, (300, 3)))
+    d_joints = rng.normal(size=(300, 3, 6)) * np.where(readings.target == 1, far, 1.0)[:, None, None]
+    noise = Noise(2e-5)
+    root = np.linalg.cholesky(reading_covariance(readings, INSTRUMENT, noise, d_joints))
+    off = np.einsum("nij,nj->ni", root, rng.normal(size=(300, 3)))
+    off[np.flatnonzero(readings.target == 1)[:2]] = 3e-3
+    groups = scatter_by_group(off, readings, INSTRUMENT, noise, d_joints, 8)
+    assert len(groups) > 4 and min(one.p_value for one in groups) > 0.01
+    loose = np.where(readings.target == 1, 2.0, 1.0)[:, None] * off
+    worst = min(scatter_by_group(loose, readings, INSTRUMENT, noise, d_joints, 8), key=lambda one: one.p_value)
+    assert worst.name == readings.targets[1] and worst.p_value < 1e-6 and 1.5 < worst.ratio < 3.0
 
 
 @pytest.mark.parametrize("lines, named", [(LINES_A_GEAR, False), (1, True)])

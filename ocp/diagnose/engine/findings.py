@@ -125,7 +125,8 @@ class SpectrumPeak:
 
 @dataclass(frozen=True)
 class Location:
-    """Where the gap lies: signal, subsystem, joint (0: none), the conditions it depends on, segments of the path."""
+    """Where the gap lies: signal, subsystem, joint (0: none), the conditions it depends on, segments of the path, or which
+    nest, payload, session or stand."""
 
     signal: str
     subsystem: str

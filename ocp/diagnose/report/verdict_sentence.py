@@ -269,7 +269,8 @@ def _place(at: Location | None) -> str:
 def _with(at: Location | None) -> str:
     if at is None or not at.depends_on:
         return ""
-    return f", and goes with {listed([condition_words(c) for c in at.depends_on])}"
+    which = f" {listed(list(at.segments))}" if at.segments else ""
+    return f", and goes with {listed([condition_words(c) for c in at.depends_on])}{which}"
 
 
 def _how_sure(answer: Answer) -> str:

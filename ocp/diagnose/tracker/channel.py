@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ocp.diagnose.engine.channel_system import UNSEEN, Fold, HeldOut, ReadingConditions, Sealed, System, Variants, effects_key
-from ocp.diagnose.rules import BACKGROUND_SIZES, LEAST_CHANGES
+from ocp.diagnose.rules import BACKGROUND_SIZES, LEAST_CHANGES, LEAST_GROUP, PLACE_SURE, UNEVEN
 from ocp.diagnose.tracker.background import Background, background
 from ocp.diagnose.tracker.held_out import held_out_readings, predict_sealed_readings, tracker_folds
 from ocp.diagnose.tracker.refit import (
@@ -26,12 +26,14 @@ from ocp.effects.effect import Active, Effect, Scanned, Surroundings, scan_key
 from ocp.effects.engine.readings import COLUMNS, PlacedReadings, by_readings, displaced, motion
 from ocp.effects.motor_harmonic import ratios_of
 from robots.calibration.noise import reading_covariance, whitener
+from robots.calibration.uneven import GroupScatter, scatter_by_group
 from robots.gravity import weight_torques
 from robots.pose import Array
 from robots.tracker_readings import Readings
 
 OF_READINGS = ("q", "approach", "payload", "payloads", "target", "time", "waited", "moved", "temperature")
 ANY = {"target", "payload"}  # one of them is as good as many
+LEVERAGE = 0.9  # of a reading on its fit, at most
 
 
 @dataclass(frozen=True)
@@ -99,6 +101,17 @@ class TrackerChannel:
     def scatters(self) -> str:
         """Far more than joints do, as the noise that the residual asks for says."""
         return "far more than joints of such robots do" if self.restless(1.0) else ""
+
+    @cached_property
+    def uneven(self) -> GroupScatter | None:
+        """The nest, payload, session or stand that scatters more than the others, where one surely does."""
+        fit, c = self.fit, self.task.campaign
+        columns = fit.W @ np.concatenate([fit.linear.J, fit.extra], axis=2)
+        leverage = np.einsum("nij,jk,nik->n", columns, fit.covariance, columns) / 3.0
+        off = fit.linear.residual / np.sqrt(1.0 - np.minimum(leverage, LEVERAGE))[:, None]
+        groups = scatter_by_group(off, c.readings, c.instrument, fit.noise, fit.linear.d_joints, LEAST_GROUP)
+        sure = [one for one in groups if one.ratio > UNEVEN and one.p_value < PLACE_SURE]
+        return min(sure, key=lambda one: one.p_value, default=None)
 
     def restless(self, scale: float) -> bool:
         """Whether `scale` times the joint noise that the residual asks for is far above what such joints usually scatter."""
@@ -234,4 +247,8 @@ class TrackerChannel:
     def predict(self, sealed: Readings, active: tuple[Active, ...]) -> Sealed:
         """Baseline and corrected predictions (n, 3) m in the tracker's frame, one sigma of each coordinate."""
         before, after = self.fitted_with(()), self.fitted_with(active)
-        return predict_sealed_readings((before.task, before.fit), (after.task, after.fit), after.background.mean, sealed)
+        told = predict_sealed_readings((before.task, before.fit), (after.task, after.fit), after.background.mean, sealed)
+        if after.uneven is None:
+            return told
+        more = after.uneven.holds(sealed) * after.uneven.rms**2 / 3.0
+        return replace(told, sigma=np.sqrt(told.sigma**2 + more[:, None]))

@@ -15,8 +15,9 @@ from ocp.diagnose.engine.linearisation import Linearisation, linearised, names_o
 from ocp.diagnose.engine.pool import Family, given
 from ocp.diagnose.engine.search import Diverged, search_and_refit
 from ocp.diagnose.engine.selection import misses_far_more_than_noise, select_effects
+from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.diagnose.verdict.doubts import cancelling, errors_of_folds, implausible, refitted
-from ocp.diagnose.verdict.location import budget, kernel_tests, of_effect, of_kernel, of_tests, spectra
+from ocp.diagnose.verdict.location import budget, kernel_tests, of_effect, of_group, of_kernel, of_tests, spectra
 from ocp.diagnose.verdict.patching import patches_of
 from ocp.diagnose.verdict.probabilities import (
     Names,
@@ -76,15 +77,26 @@ def _without(
 
 def _scattering(found: Diagnosis, *reasons: str) -> Diagnosis:
     """Findings that take no scatter for noise which no such machine has: what a fit learns of its noise holds whatever is not
-    modelled, so that rows of two campaigns under each other would be no gap, nor a log that jumps to and fro. reasons: others for
-    which something is outside the catalogue."""
+    modelled, so that rows of two campaigns under each other would be no gap, nor a log that jumps to and fro, nor a nest that
+    flops. reasons: others for which something is outside the catalogue."""
     wild = [f"{c.name}: readings scatter {c.scatters}" for c in found.channels if isinstance(c, Scattering) and c.scatters]
-    whys = (*reasons, *(f"{why}, and with nothing that was recorded" for why in wild[:1]))
+    whys = [*reasons, *(f"{why}, and with nothing that was recorded" for why in wild[:1])]
+    at = next(((c.name, c.uneven) for c in found.channels if isinstance(c, TrackerChannel) and c.uneven is not None), None)
+    whys += [] if at is None else [f"{at[0]}: readings scatter by {at[1].words}"]
     if not whys:
         return found
     told = found.p_unknown > rules.LEADS
     unknown = found.p_unknown if told else 1.0 - (1.0 - found.p_unknown) * (1.0 - rules.SUSPECT)
-    return replace(found, p_unknown=unknown, unknown_reasons=(*found.unknown_reasons, *whys))
+    found = replace(found, p_unknown=unknown, unknown_reasons=(*found.unknown_reasons, *whys))
+    return found if at is None else _placed(found, of_group(*at), told)
+
+
+def _placed(found: Diagnosis, at: Location, told: bool) -> Diagnosis:
+    """Findings with the place of readings that scatter more than others; told: kernels tell the place already, which stands where
+    it is in another part of the cell."""
+    if told and found.remainder is not None and found.remainder.subsystem != at.subsystem:
+        return found
+    return replace(found, remainder=at, location=found.location if found.active else at)
 
 
 def _thinned(channel: Channel, most: int) -> Channel:

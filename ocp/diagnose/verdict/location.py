@@ -20,6 +20,7 @@ from ocp.diagnose.engine.linearisation import Linearisation
 from ocp.diagnose.engine.pool import Given
 from ocp.diagnose.rules import BUDGET_SD, LEAST_TURN, PLACE_SURE, SEEN_DIRECTION, SHARE_PER_FEATURE
 from ocp.effects.effect import Effect
+from robots.calibration.uneven import GroupScatter
 from robots.pose import Array
 
 SUBSYSTEM = {"target x time": "target", "payload": "payload", "session": "tracker", "time": "tracker", "temperature": "tracker"}
@@ -60,6 +61,12 @@ def of_kernel(name: Name) -> Location:
     else:
         subsystem = READING.get(where, "sensor")
     return Location(signal, subsystem, name.joint, depends_on(where))
+
+
+def of_group(signal: str, one: GroupScatter) -> Location:
+    """Of readings that scatter more than the others, which one among the segments."""
+    subsystem = one.kind if one.kind in ("target", "payload") else "tracker"
+    return Location(signal, subsystem, 0, (one.kind,), (one.name,))
 
 
 def of_tests(tests: list[KernelTest]) -> Location | None:

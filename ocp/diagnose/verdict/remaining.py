@@ -2,8 +2,9 @@
 
 A fit's joint noise is learnt from its residual and holds whatever is not modelled, so its size does not stand out. Here the
 residual is held against the instrument and the repeatability that repeats show, else the usual one (Rubin 1984, section 5; tail
-probability averaged over how well the repeatability is known), and its pattern against the kernel that follows it best, the
-number of kernels allowed for. Two tests: the smaller p-value counts twice.
+probability averaged over how well the repeatability is known), its pattern against the kernel that follows it best, the number of
+kernels allowed for, and one group's scatter against the others' (`robots.calibration.uneven`). The smallest of these p-values
+counts as often as there are tests.
 """
 
 from collections.abc import Sequence
@@ -35,17 +36,16 @@ class Remaining:
 
 def remaining(channel: Channel, tests: Sequence[KernelTest]) -> Remaining:
     """Of a channel with the named effects in it, gross readings apart; tests: kernel tests after the effects."""
-    size = _of_tracker(channel) if isinstance(channel, TrackerChannel) else _of_rows(channel)
-    own = [t for t in tests if t.channel == channel.name]
-    if not own:
-        return size
-    best = min(own, key=lambda t: t.p_value)
-    p = min(1.0, best.p_value * len(own))
-    noise = channel.noise_floor / SCALE[channel.unit]
-    follows = noise * float(np.sqrt(max(best.gained, 0.0) / len(channel.system.residual)))
-    told = [Remaining(follows, p), size]
+    told = [_of_tracker(channel) if isinstance(channel, TrackerChannel) else _of_rows(channel)]
+    if isinstance(channel, TrackerChannel) and channel.uneven is not None:
+        told.append(Remaining(channel.uneven.rms * float(np.sqrt(channel.uneven.share)), channel.uneven.p_value))
+    if own := [t for t in tests if t.channel == channel.name]:
+        best = min(own, key=lambda t: t.p_value)
+        noise = channel.noise_floor / SCALE[channel.unit]
+        follows = noise * float(np.sqrt(max(best.gained, 0.0) / len(channel.system.residual)))
+        told.append(Remaining(follows, min(1.0, best.p_value * len(own))))
     above = max((r.above_noise for r in told if r.p_value < PLACE_SURE), default=0.0)
-    return Remaining(above, min(1.0, 2.0 * min(r.p_value for r in told)))
+    return Remaining(above, min(1.0, len(told) * min(r.p_value for r in told)))
 
 
 def _of_tracker(channel: TrackerChannel) -> Remaining:
