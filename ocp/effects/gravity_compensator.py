@@ -3,9 +3,9 @@
 A spring k from lever a of link 1 to lever b of the upper arm: torque = -k (1 - L0 / L) a b sin(phi), phi the angle from
 rest_rad, L the length, L0 = free_length |b - a|. A KR 210 carries a hydropneumatic balancer on axis 2 that the paper and the
 believed cell ignore (PHYSICS 2.5): stiffness_N_m is k, lever_link1_m a and lever_arm_m b count from axis 2, at phi = 0 the
-spring is shortest; it pulls toward the upright arm. free_length 1: just unloaded there, less: preloaded. The torque acts
-through the joint's own compliance, so a robot without springs in joint 2 does not show it. Readings fix k a b and the shape;
-stiffness_N_m follows from the levers of the variant.
+spring is shortest; it pulls toward the upright arm. free_length 1: just unloaded there, less: preloaded, 0: the sine of a
+gear_1x. The torque acts through the joint's own compliance, so a robot without springs in joint 2 does not show it. Readings
+fix k a b and the shape; stiffness_N_m follows from the levers of the variant.
 """
 
 import casadi as ca
@@ -18,7 +18,7 @@ from ocp.effects.forms import at_joint, proportional, tried
 _KEYS = ("lever_link1_m", "lever_arm_m", "free_length", "rest_rad")
 LEVER_ARM = 0.4  # m; only the product of the levers and their ratio show
 RATIOS = (0.35, 0.6, 0.85)  # lever on link 1 over lever on the arm
-FREE = (0.4, 1.0)  # share of the spring's least length that is slack: preloaded, and just unloaded where it is shortest
+FREE = (0.0, 0.4, 1.0)  # share of the least length that is slack: none, preloaded, just unloaded where it is shortest
 REST = (-0.4, 0.0, 0.4)  # rad of joint 2 from the upright arm, where the spring is shortest
 
 

@@ -31,6 +31,7 @@ from robots.tracker_readings import read_readings
 from tests.support.simulated_campaign import EXTRA, INSTRUMENT, NESTS, PAYLOADS, campaign_readings, measured, random_truth
 
 LIBRARY = library()
+GEAR, BALANCER = Name("gear_1x", 2), Name("gravity_compensator", 2)
 RATIO = np.array([256.857, 252.909, 236.368, 198.9, 209.667, 131.151])  # PHYSICS 2.1
 ROBOT = replace(EXTRA, gear_ratio=RATIO)
 
@@ -114,6 +115,13 @@ def test_recovers_a_pair():
     d = diagnosed(world(8, both, outliers=0.02)[0])
     assert [str(n) for n in d.explanations[0].names] == ["backlash:5", "gear_harmonic:1"]
     assert d.explanations[0].probability > 0.8
+
+
+@pytest.mark.parametrize("size, classes", [(7e-4, ((GEAR, BALANCER),)), (2.2e-3, ())])
+def test_a_balancer_of_no_free_length_is_no_wave_of_a_gear(size, classes):
+    """Both are the same sine; a gear's is never so large as the second."""
+    found = diagnosed(world(3, lambda r: column(2, -size * np.cos(r.q[:, 1])), n=80)[0])
+    assert {Name(*a.key) for a in found.active} == {BALANCER} and found.classes == classes, found.ranking[:2]
 
 
 def test_recovers_a_nest_that_moved():

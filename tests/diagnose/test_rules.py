@@ -42,6 +42,7 @@ ELSEWHERE = {
     "verdict/location.py": {"ORDERS"},
     "joints/channel.py": {"RANK"},
     "joints/log.py": {"MOVED", "APART", "OTHER_SPEED", "SLOW", "FAR", "ALIKE", "SHARED"},
+    "tracker/channel.py": {"LEVERAGE"},
     "tracker/refit.py": {"SETTLED", "RANK"},
 }
 FOLDERS_ELSEWHERE = {"report"}  # drawing
