@@ -113,6 +113,20 @@ def test_a_reflector_that_is_no_ball_is_told_from_the_arm():
     assert d.location is not None and d.location.subsystem == "tracker" and d.location.depends_on == ("sight",)
 
 
+@pytest.mark.parametrize("nest", [None, 2])
+def test_what_falls_to_the_side_to_which_the_flange_hangs_is_told_from_the_arm(nest):
+    """A loose holder, or one loose nest: 0.1 mm along the flange's own x, to one side or the other."""
+    readings, _ = world(13, n=110)
+    c = channel(readings).conditions
+    down = np.einsum("nij,nj->ni", c.carrier, c.hang)
+    assert np.ptp(down, axis=0).max() < 1e-12  # of the tracker's head, which stands still
+    assert np.abs(c.hang + forward(ROBOT, readings.q)[:, 2, :3]).max() < 0.01
+    loose = 1e-4 * np.tanh(c.hang[:, 0] / 0.15) * (True if nest is None else readings.target == nest)
+    moved = replace(readings, point=readings.point + loose[:, None] * c.carrier[:, :, 0])
+    d = diagnose_channels([channel(moved)], LIBRARY, Options(folds=False, where=False))
+    assert d.verdict == "unexplained" and d.location is not None and d.location.subsystem == "target", d.ranking[:2]
+
+
 def test_moments_across_an_axis_are_those_of_all_weight_beyond_it():
     readings, _ = world(14, n=40)
     c = channel(readings)

@@ -50,8 +50,9 @@ class ReadingConditions:
     six joint angles, SI per rad (k components of a reading), for kernels and spectra in joint angles; d_tilts (n, k, 6, 4): in
     tilts of the six axes about the two directions across them that stand still in the link before, and the two that turn with the
     joint; moments (n, 6, 2) N m of the weight beyond an axis about the two that stand still; point (n, 3) m in the instrument's
-    frame; sight (n, 3): unit vectors from reflectors to the instrument, in axes of the links that carry them; gear_ratio: those
-    that each of six joints may have; waves: of the wheel's turn, and of time and path those that the readings speak for.
+    frame; sight, hang (n, 3): unit vectors from reflectors to the instrument, and down, in axes of the links that carry them;
+    carrier (n, 3, 3): these axes in the instrument's frame; gear_ratio: those that each of six joints may have; waves: of the
+    wheel's turn, and of time and path those that the readings speak for.
     """
 
     signal: str
@@ -82,6 +83,8 @@ class ReadingConditions:
     moments: Array | None = None
     point: Array | None = None
     sight: Array | None = None
+    hang: Array | None = None
+    carrier: Array | None = None
     gear_ratio: tuple[tuple[float, ...], ...] | None = None
     waves: tuple["Wave", ...] = ()
 

@@ -32,6 +32,7 @@ INSTANTS = 7  # at which a nest may move
 MOTOR_WAVES = 8  # per turn of a motor: resolvers err up to there
 LOADED = np.arange(1.0, 81.0)  # orders per turn of ripples that grow with the load
 RIPPLES = np.arange(2.5, 121.0)  # half-integer orders per turn: integers are the library's
+SIDES = 5  # cosines of how a nest hangs
 BEAM = ("range", "azimuth", "elevation")
 SMOOTH = 7  # cosines over a condition's range
 SOFT = 4.0  # wave number at which their prior has fallen to half
@@ -138,6 +139,10 @@ def kernels(c: ReadingConditions) -> Iterator[Kernel]:
             instants = np.quantile(time, np.arange(1, INSTANTS + 1) / (INSTANTS + 1))
             moved = np.stack([(c.target == k) * 1.0 * (time > at) for k in nests for at in instants], axis=1)
             yield Kernel("target x time", "frame", 0, [still], moved[:, :, None], *FRAME_KERNEL, x)
+        if c.hang is not None and c.carrier is not None:  # what is loose falls to one side, of all nests or of one
+            which = [np.ones(n), *(1.0 * (c.target == k) for k in nests if len(nests) > 1)]
+            hung = [smooth(side, SIDES) * one[:, None] for side in c.hang.T for one in which]
+            yield Kernel("hang", "frame", 0, [c.carrier], np.stack(hung, axis=1), *FRAME_KERNEL, x)
         if c.point is not None:
             yield from _of_beam(c, x, c.point)
     elif c.signal == "force":

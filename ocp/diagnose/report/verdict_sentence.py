@@ -29,6 +29,7 @@ PLAIN = {
     "wait": "the time since the motion to a reading began",
     "range": "the distance from the tracker",
     "target": "the reflector nest",
+    "hang": "the side to which the flange hangs",
     "sight": "the side from which a reflector is seen",
     "azimuth": "the tracker's azimuth",
     "elevation": "the tracker's elevation",

@@ -154,6 +154,8 @@ class TrackerChannel:
             gear_ratio=ratios_of(self.surroundings),
             point=self.fit.linear.point,
             sight=self.seen.sight,
+            hang=self.seen.hang,
+            carrier=self.seen.tracker_rows.R,
             **same,
         )
 

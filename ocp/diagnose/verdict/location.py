@@ -23,7 +23,7 @@ from ocp.effects.effect import Effect
 from robots.calibration.uneven import GroupScatter
 from robots.pose import Array
 
-SUBSYSTEM = {"target x time": "target", "payload": "payload", "session": "tracker", "time": "tracker", "temperature": "tracker"}
+SUBSYSTEM = {"target x time": "target", "hang": "target", "payload": "payload"}  # of frame and beam; others: the tracker
 _READS = {
     "blade": "s, line, s wave, s period, clock x s, setpoint x s",
     "wheel": "wheel_temperature, belt, turn, clock wave, time wave, time period, belt x time, setpoint x clock, setpoint x belt",

@@ -132,6 +132,11 @@ class PlacedReadings:
         return np.asarray(np.einsum("nji,nj->ni", self.tracker_rows.R, towards))
 
     @cached_property
+    def hang(self) -> Array:
+        """Unit vectors (n, 3) that point down, in the axes of the links that carry the reflectors."""
+        return np.asarray(np.einsum("nji,njk,k->ni", self.tracker_rows.R, self.turns, self.robot.gravity_direction))
+
+    @cached_property
     def tracker_rows(self) -> TrackerRows:
         """What the tracker's own effects see."""
         r = self.readings
