@@ -1,8 +1,9 @@
 """The splice of the belt knocks once per turn of the belt.
 
 The splice knocks at turn, turn + 1, .. of the belt, hz a second: a bell N high and `length` turns wide. It acts on the normal
-reading, and times friction on the tangential one; the splice is thicker than the belt (DIAGNOSIS, catalogue); `length` is the
-bell's standard deviation. Turns count from the start of each run (clocked 0) or on the campaign's clock (1: the belt keeps
+reading, and on the tangential one by friction times N and `more_ft_N` along it: -friction N where a knock is too short to rub, or
+strikes the one sensor alone. The splice is thicker than the belt (DIAGNOSIS, catalogue); `length` is the bell's standard
+deviation. Turns count from the start of each run (clocked 0) or on the campaign's clock (1: the belt keeps
 turning between runs). A force log is searched for rate, place and length beforehand (`ocp/diagnose/force/waves.py`).
 """
 
@@ -44,15 +45,16 @@ EFFECT = Effect(
     needs=("time_s",),
     scan=_scan,
     symbolic=SCANNED,
-    sensor=lambda x, j, scanned: row(_knock(x, scanned)),
-    shear=lambda x, j, scanned: row(x.friction * ca.sign(x.belt) * _knock(x, scanned)),
+    sensor=lambda x, j, scanned: row(_knock(x, scanned), 0.0),
+    shear=lambda x, j, scanned: ca.sign(x.belt) * row(x.friction * _knock(x, scanned), _knock(x, scanned)),
     **proportional(
         Parameter("N", "N", 1.0, 10.0, signed=False),
+        Parameter("more_ft_N", "N", 0.0, 3.5),
         Parameter("hz", "1/s", *RATES, signed=False),
         Parameter("turn", "1", 0.0, 1.0, signed=False),
         Parameter("length", "1", *LENGTHS, signed=False),
         Parameter("clocked", "1", 0.0, 1.0, signed=False),
         scanned=SCANNED,
-        usual=dict.fromkeys(SCANNED, 0.0) | {"length": USUAL},
+        usual=dict.fromkeys((*SCANNED, "more_ft_N"), 0.0) | {"length": USUAL},
     ),
 )

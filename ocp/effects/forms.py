@@ -63,7 +63,7 @@ def tried(**values: Iterable[Any]) -> Callable[[int, Surroundings], Sequence[Sca
 
 def proportional(*parameters: Parameter, scanned: Sequence[str] = (), usual: Mapping[str, Any] | None = None) -> Form:
     """Parameters that are coefficients themselves, numbers or vectors one after the other, and `scanned` ones beside them. The
-    prior is the far end of the usual range. `usual`: scanned values of a table that does not name them."""
+    prior is the far end of the usual range. `usual`: values that a table need not name."""
     own = [p for p in parameters if p.key not in scanned]
     starts = np.cumsum([p.length for p in own])[:-1]
 
@@ -73,8 +73,9 @@ def proportional(*parameters: Parameter, scanned: Sequence[str] = (), usual: Map
         return {p.key: found[p.key] if p.key in found else given[p.key] for p in parameters}
 
     def coefficients_of(values: Mapping[str, Any]) -> tuple[Array, dict[str, Any]]:
-        a = np.concatenate([np.asarray(values[p.key], float).reshape(p.length) for p in own])
-        return a, {key: {**(usual or {}), **values}[key] for key in scanned}
+        known = {**(usual or {}), **values}
+        a = np.concatenate([np.asarray(known[p.key], float).reshape(p.length) for p in own])
+        return a, {key: known[key] for key in scanned}
 
     names = [p.key if p.length == 1 else f"{p.key}_{k + 1}" for p in own for k in range(p.length)]
     return _form(parameters, names, [max(abs(p.low), abs(p.high)) for p in own for _ in range(p.length)], values, coefficients_of)

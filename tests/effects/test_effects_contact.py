@@ -108,7 +108,7 @@ def expected(name, v, x):
         sensor[name] = v["N"] * np.exp(-0.5 * ((turns - np.round(turns)) / v["length"]) ** 2) * (sign != 0)
     shear = v["dmu"] * F * sign if name == "tangential_force" else zero
     if name == "belt_splice":
-        shear = 0.35 * sign * sensor[name]
+        shear = sign * sensor[name] * (0.35 + v["more_ft_N"] / v["N"])
     return give.get(name, zero), push.get(name, zero), sensor.get(name, zero), shear
 
 

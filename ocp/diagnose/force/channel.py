@@ -21,7 +21,6 @@ from ocp.diagnose.engine.channel_system import (
     Variants,
     Wave,
     effects_key,
-    is_outlier,
 )
 from ocp.diagnose.force.fit import EffectFit, ForceProblem, fit_effects
 from ocp.diagnose.force.held_out import Asked, force_fold_errors, force_folds, predict_sealed_force
@@ -232,10 +231,8 @@ class ForceChannel:
     def held_out(self, fold: Fold, active: tuple[Active, ...]) -> HeldOut | None:
         """Judge `active` on a fold."""
         after = self.fitted_with(active)
-        good = ~is_outlier(self.fit.whiteners[0].noise.weight)
-        if self.log.setpoint_sd is not None:  # a setpoint that the readings gave is not known without them
-            good &= self.log.setpoint_sd == 0
-        return force_fold_errors((self.baseline.problem, self.baseline.fit), (after.problem, after.fit), fold, good)
+        own = self.fit.whiteners[0].noise
+        return force_fold_errors((self.baseline.problem, self.baseline.fit), (after.problem, after.fit), fold, own)
 
     def fitted_with(self, active: tuple[Active, ...]) -> "ForceChannel":
         """The channel fitted with these effects, whatever values they come with; kept: promises and predictions ask alike."""

@@ -14,8 +14,9 @@ import numpy as np
 from ocp.calibrate.force.assessment import without_rows
 from ocp.calibrate.force.log import Flags, ForceLog, Index
 from ocp.calibrate.force.model import ForceModel, ForceRows
+from ocp.calibrate.force.noise import ReadingNoise
 from ocp.calibrate.force.rows import log_conditions, prepare_force
-from ocp.diagnose.engine.channel_system import Fold, HeldOut, Predictable, Sealed, predictable
+from ocp.diagnose.engine.channel_system import Fold, HeldOut, Predictable, Sealed, is_outlier, predictable
 from ocp.diagnose.force.fit import EffectFit, ForceProblem, fit_effects, linear_normal
 from ocp.diagnose.force.prediction import LogScene, Predicted, predict_forces
 from ocp.diagnose.rules import FOLD_PARTS, FOLD_PIECE, FOLD_REST, FOLD_ROWS, RUN_SD
@@ -68,14 +69,17 @@ def _left_out(kind: str, values: Array, log: ForceLog) -> list[Fold]:
     return [Fold(f"{kind}={names[v]}", kind, rows) for v, rows in held] if len(levels) > 1 else []
 
 
-def force_fold_errors(before: Fitted, after: Fitted, fold: Fold, good: Flags) -> HeldOut | None:
+def force_fold_errors(before: Fitted, after: Fitted, fold: Fold, own: ReadingNoise) -> HeldOut | None:
     """Squared errors N^2 of the fold's normal readings in contact, everything refitted on the rest, without and with effects;
-    good (n,): readings that are held against a model, the same ones whatever the effects, so that errors can be compared.
+    own: noise that says which readings are held against a model, and how well they are known, the same whatever the effects, so
+    that errors can be compared.
 
     What the believed contact itself cannot know there without them counts as noise. Where that is more than a reading's own
     noise nothing is judged: another side of the blade stands where its registration has it, whatever the effect.
     """
-    log, held, whitener = after[0].log, np.asarray(fold.held, bool), after[1].whiteners[0]
+    log, held, good = after[0].log, np.asarray(fold.held, bool), ~is_outlier(own.weight)
+    if log.setpoint_sd is not None:  # a setpoint that the readings gave is not known without them
+        good &= log.setpoint_sd == 0
     rows = held & log.contact & good
     if rows.sum() < FOLD_ROWS or (~held & log.contact).sum() < FOLD_ROWS:
         return None
@@ -83,7 +87,7 @@ def force_fold_errors(before: Fitted, after: Fitted, fold: Fold, good: Flags) ->
     off, left = (_errors(*fitted, change)[rows] for fitted, change in zip((before, after), changes, strict=True))
     (r, o), nuisance, covariance = after[0].sizes, before[1].normal[rows, : before[0].sizes[0]], covariances[1]
     known = covariances[0][: nuisance.shape[1], : nuisance.shape[1]]
-    noise, unknown = whitener.noise.sigma()[rows] ** 2, np.sum(nuisance @ known * nuisance, axis=1)
+    noise, unknown = own.sigma()[rows] ** 2, np.sum(nuisance @ known * nuisance, axis=1)
     # Both errors hold the same unknown u: their squares differ by 2 u (off - left) for it, whatever the effects.
     shared = 2.0 * nuisance.T @ (off - left) / len(off)
     if fold.extrapolates and unknown.mean() > noise.mean():

@@ -15,7 +15,8 @@ linearise each. With y = W^T e as above, a train of bells h at rate f, place p a
     h . y = sum over m of c_m Re(exp(2 pi i m p) S(m f)),   c_m = (2 pi)^(1/2) w exp(-2 (pi m w)^2), twice that for m > 0
 
 with S(g) = sum of y exp(-2 pi i g t) (Poisson summation): from S all variants are scored, the best few again with their exact
-columns. The others count in the prior odds: `among` of them were looked at.
+columns. The others count in the prior odds: `among` of them were looked at. Only the normal reading is: whether a knock rubs is
+not known before.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -184,18 +185,9 @@ def likely_trains(problem: ForceProblem, fit: EffectFit) -> SpliceTrains:
 
 
 def _scores(problem: ForceProblem, fit: EffectFit) -> Array:
-    """What a train in the normal reading, with its friction in the tangential one, is multiplied with (n,)."""
-    n, mask = len(problem.log), problem.log.contact * (problem.scene.conditions.belt != 0)
-    y = fit.whiteners[0].back(fit.residual[:n, None])[:, 0]
-    if len(fit.whiteners) > 1:
-        y = y + problem.scene.shear * fit.whiteners[1].back(fit.residual[n:, None])[:, 0]
-    return np.asarray(y * mask)
-
-
-def _whitened(problem: ForceProblem, fit: EffectFit, columns: Array) -> list[Array]:
-    """Columns (n, m) of the normal reading, with their friction in the tangential one, whitened signal by signal."""
-    both = zip(fit.whiteners, (columns, problem.scene.shear[:, None] * columns), strict=False)
-    return [whitener.whole(part) for whitener, part in both]
+    """What a train in the normal reading is multiplied with (n,)."""
+    mask = problem.log.contact * (problem.scene.conditions.belt != 0)
+    return np.asarray(fit.whiteners[0].back(fit.residual[: len(mask), None])[:, 0] * mask)
 
 
 def _sizes(problem: ForceProblem, fit: EffectFit) -> tuple[Array, Array]:
@@ -207,7 +199,7 @@ def _sizes(problem: ForceProblem, fit: EffectFit) -> tuple[Array, Array]:
     lengths = []
     for f in probes:
         wave = mask[:, None] * np.column_stack([np.cos(2 * np.pi * f * c.time), np.sin(2 * np.pi * f * c.time)])
-        lengths.append(sum(np.sum(part**2) for part in _whitened(problem, fit, wave)) / 2)
+        lengths.append(np.sum(fit.whiteners[0].whole(wave) ** 2) / 2)
     return probes, np.array(lengths)
 
 
@@ -288,7 +280,7 @@ def _gains(problem: ForceProblem, fit: EffectFit, y: Array, time: Array, scans: 
     turns = [time * s["hz"] - s["turn"] for s in scans]
     away = np.column_stack([t - np.floor(t + 0.5) for t in turns]) / np.array([s["length"] for s in scans])
     trains = mask[:, None] * np.exp(-0.5 * away**2)
-    size = sum(np.sum(part**2, axis=0) for part in _whitened(problem, fit, trains))
+    size = np.sum(fit.whiteners[0].whole(trains) ** 2, axis=0)
     return np.asarray(np.maximum(y @ trains, 0.0) ** 2 / np.maximum(size, 1e-12))
 
 
