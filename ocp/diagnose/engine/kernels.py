@@ -7,7 +7,7 @@ effect outside it.
 
 Kernels of a force log act at the contact, with its friction and not in the air, or on the normal reading alone: how a sensor's
 second axis reads is its own affair. Of waves of time and path, which are of the reading, only those that the log speaks for most
-take part (`ocp.diagnose.force.waves`).
+take part (`ocp.diagnose.force.waves`); those with a phase for each run may come by the contact as well.
 
 Features are told in the words of patches (`ocp.effects.patch`) wherever one can hold them: what stands for an unknown effect and
 what corrects it are the same functions.
@@ -37,6 +37,7 @@ BEAM = ("range", "azimuth", "elevation")
 SMOOTH = 7  # cosines over a condition's range
 SOFT = 4.0  # wave number at which their prior has fallen to half
 MOST_GROUPS = 12
+BY_RUN = " x run"  # waves whose phase each run has for itself
 CLOCK_WAVES = 12  # of the campaign's clock at most, half waves
 _SCALAR = ("s", "feed", "setpoint", "travel", "belt", "clock", "time", "temperature", "wheel_temperature", "run", "line")
 _TWO = "travel s, travel feed, setpoint s, setpoint clock, setpoint belt, setpoint feed, clock s, belt time, feed s"
@@ -149,7 +150,8 @@ def kernels(c: ReadingConditions) -> Iterator[Kernel]:
         alone = np.broadcast_to(np.eye(k)[:, :1], (n, k, 1))
         for where, features, told, among in _of_reading(c):
             # What comes by the contact: nothing in the air, and with its friction.
-            ways = [c.pressed[:, :, None], alone] if not among and c.pressed is not None else [alone]
+            by_contact = not among or where.endswith(BY_RUN)
+            ways = [c.pressed[:, :, None], alone] if by_contact and c.pressed is not None else [alone]
             yield Kernel(where, "reading", 0, ways, features, *FORCE_KERNEL, x, among, told)
 
 

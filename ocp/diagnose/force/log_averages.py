@@ -15,6 +15,7 @@ import numpy as np
 from ocp.calibrate.force.log import Flags, Index
 from ocp.calibrate.force.noise import Whitener
 from ocp.diagnose.engine.channel_system import Wave
+from ocp.diagnose.engine.kernels import BY_RUN
 from ocp.diagnose.force.fit import EffectFit, ForceProblem
 from ocp.diagnose.force.prediction import effect_derivatives
 from ocp.diagnose.rules import FAST_LAMBDA, FAST_SHARE
@@ -103,6 +104,8 @@ def log_averages(
         if both is not None:
             chosen.append(_lost(fit, [c[0] for c in both]))
     chosen += [_lost(fit, [wave.columns, np.zeros_like(wave.columns)][:count]) for wave in waves]
+    slopes = np.stack([fit.at.fn_slope, fit.at.ft_slope][:count])
+    chosen += [_lost(fit, slopes[:, :, None] * wave.columns) for wave in waves if wave.where.endswith(BY_RUN)]
     for effect in effects:
         if effect.on_arm or effect.along is not None or not _is_fast(problem, fit, effect, around):
             continue
@@ -110,7 +113,6 @@ def log_averages(
         chosen += [_lost(fit, [c[v] for c in made]) for v in range(len(made[0]))]
     patterns = _orthonormal(np.concatenate(chosen, axis=2))
     back = np.stack([w.back(p) for w, p in zip(fit.whiteners, patterns, strict=True)])
-    slopes = np.stack([fit.at.fn_slope, fit.at.ft_slope][:count])
     return LogAverages(fit.whiteners, patterns, back, slopes, problem.log.contact)
 
 

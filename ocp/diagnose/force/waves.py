@@ -5,9 +5,11 @@ of one number,
 
     gain = ((c^T y)^2 + (s^T y)^2) / (1/2 (|W c|^2 + |W s|^2)),
 
-the squares that the wave takes from the residual; lengths are taken at a few numbers and interpolated. **Periods** are waves with
-overtones, a saw along a scarred guide: their gains are sums. What averages over blocks lose of the picked ones is kept as rows of
-their own (`log_averages.py`).
+the squares that the wave takes from the residual; lengths are taken at a few numbers and interpolated. Of time and of the
+wheel's turn there are waves of one number whose phase each run has for itself (a hum, a wheel that turned on between runs): their
+gains are sums over runs. A train that is none, whose knocks fall on such a wave by an alias of the campaign's clock, explains
+less. **Periods** are waves with overtones, a saw along a scarred guide: their gains are sums. What averages over blocks lose of
+the picked ones is kept as rows of their own (`log_averages.py`).
 
 **Trains**: a knock a hundred times shorter than a run, among 10 rates a second and all places of a turn: far too many variants to
 linearise each. With y = W^T e as above, a train of bells h at rate f, place p and length w has
@@ -26,7 +28,9 @@ from typing import Any
 import numpy as np
 from scipy.special import chdtri
 
+from ocp.calibrate.force.noise import Whitener
 from ocp.diagnose.engine.channel_system import Wave
+from ocp.diagnose.engine.kernels import BY_RUN
 from ocp.diagnose.force.fit import EffectFit, ForceProblem
 from ocp.diagnose.rules import LEAST_WAVES, OVERTONES, TRAINS_OFFERED, USUAL_TRAINS, WAVES_PICKED
 from ocp.effects.belt_splice import LENGTHS, RATES
@@ -52,6 +56,8 @@ def telling_waves(problem: ForceProblem, fit: EffectFit) -> tuple[Wave, ...]:
     n = len(log)
     white = fit.whiteners[0]
     y = white.back(fit.residual[:n, None])[:, 0]
+    if found:
+        found += _apart(problem, white, y, "turn wave" + BY_RUN, np.array(TURNS, float), turned)
     for where, along, weight, highest in _kinds(problem, fit):
         # Everything within a run is seen against the run's own mean: the longest stretch sets how many waves differ.
         length = max(float(np.ptp(along[(c.run == r) & log.contact])) for r in np.unique(c.run[log.contact]))
@@ -59,6 +65,8 @@ def telling_waves(problem: ForceProblem, fit: EffectFit) -> tuple[Wave, ...]:
         if highest < 2 * lowest:
             continue
         numbers = np.arange(lowest, highest, 1.0 / (FINE * length))
+        if where == "time wave":
+            found += _apart(problem, white, y, "time wave" + BY_RUN, numbers, along)
         masked = touching * weight
         score = np.abs(_transform(numbers, along, masked * y)) ** 2
         probes = np.unique(np.linspace(0, len(numbers) - 1, LENGTH_PROBES).round().astype(int))
@@ -80,6 +88,24 @@ def telling_waves(problem: ForceProblem, fit: EffectFit) -> tuple[Wave, ...]:
             columns = [_both(tone * number * along) for tone in range(1, count + 1)]
             found.append(Wave(name, float(number), masked[:, None] * np.hstack(columns), among))
     return tuple(found)
+
+
+def _apart(problem: ForceProblem, white: Whitener, y: Array, where: str, numbers: Array, along: Array) -> list[Wave]:
+    """The wave of one of evenly spaced numbers that gains most with a phase of its own in each run; none of a single run."""
+    log = problem.log
+    runs, index = np.unique(np.where(log.contact, log.run, -1), return_inverse=True)
+    each = (index[:, None] == np.flatnonzero(runs >= 0)).astype(float)
+    if each.shape[1] < 2:
+        return []
+    probes = np.unique(np.linspace(0, len(numbers) - 1, LENGTH_PROBES).round().astype(int))
+    touching = log.contact[:, None]
+    sizes = [each.T @ np.sum(white.whole(touching * _both(numbers[k] * along)) ** 2, axis=1) / 2 for k in probes]
+    gain = np.zeros(len(numbers))
+    for own, size in zip(each.T > 0, np.array(sizes).T, strict=True):
+        gain += np.abs(_transform(numbers, along[own], y[own])) ** 2 / np.interp(numbers, numbers[probes], size)
+    best = float(numbers[np.argmax(gain)])
+    columns = (each[:, :, None] * _both(best * along)[:, None]).reshape(len(log), -1)
+    return [Wave(where, best, columns, max(len(numbers) // 2, WAVES_PICKED))]
 
 
 def _transform(numbers: Array, along: Array, y: Array) -> Array:
