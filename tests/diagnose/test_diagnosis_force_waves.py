@@ -98,6 +98,33 @@ def test_a_single_tone_is_no_knock_and_nothing_of_the_catalogue(made: Made, tmp_
     assert found.location is not None and found.location.depends_on == ("time",)
 
 
+@pytest.mark.parametrize(("kind", "hz", "tones"), [("time", 11.7, 1), ("time", 5.9, 3), ("time", 42.44, 1), ("turn", 0.0, 1)])
+def test_what_hums_with_a_phase_of_its_own_in_each_run_is_no_knock(made: Made, kind, hz, tones):  # noqa: F811
+    """Among so many rates of the campaign's clock the knocks of some fall on what each run shows."""
+    log, scene = made.channel.log, made.channel.problem.scene
+    c = scene.conditions
+    phase = 2 * np.pi * hz * c.time + np.random.default_rng(2).uniform(0.0, 6.28, 20)[log.run]
+    if kind == "turn":  # an oval wheel that turned on between runs: its friction shows it too
+        phase = 2.0 * c.clock * np.abs(c.belt) / scene.cell.wheel.radius
+    hum = 0.25 * log.contact * sum(np.sin(k * phase) / k for k in range(1, tones + 1))
+    shear = 0.0 if kind == "time" else scene.shear * hum
+    channel = _again(made, replace(log, fn=log.fn + hum, ft=log.ft + shear))
+    assert likely_trains(channel.problem, channel.fit).found
+    found = diagnose_channels([channel], {"belt_splice": EFFECTS["belt_splice"]})
+    assert found.p_unknown > 0.9 and not found.active and found.verdict == "unexplained"
+    assert found.location is not None and found.location.depends_on == (kind, "run")
+    wave = next(w for w in channel.waves if w.where.startswith(f"{kind} {'period' if tones > 1 else 'wave'} x"))
+    assert wave.number == pytest.approx(hz or 2.0, rel=0.01)
+    assert wave.columns.shape[1] == 2 * tones * len(np.unique(log.run[log.contact]))
+
+
+def test_a_log_of_one_run_has_no_waves_of_single_runs(made: Made):  # noqa: F811
+    log = made.channel.log
+    problem = _part(made.channel.problem, np.flatnonzero(log.run == log.run[0]))
+    waves = telling_waves(problem, fit_effects(problem))
+    assert waves and not any(w.where.endswith("run") for w in waves)
+
+
 def test_a_saw_along_the_path_is_one_unknown_with_its_overtones(made: Made, tmp_path):  # noqa: F811
     def saw(c, F):
         return 0.16 * (F > 0) * np.where(c["run"] == 1, -1.0, 1.0) * (2.0 * np.mod(c["s"] / 0.014, 1.0) - 1.0)

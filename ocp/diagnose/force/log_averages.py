@@ -105,7 +105,7 @@ def log_averages(
             chosen.append(_lost(fit, [c[0] for c in both]))
     chosen += [_lost(fit, [wave.columns, np.zeros_like(wave.columns)][:count]) for wave in waves]
     slopes = np.stack([fit.at.fn_slope, fit.at.ft_slope][:count])
-    chosen += [_lost(fit, slopes[:, :, None] * wave.columns) for wave in waves if wave.where.endswith(BY_RUN)]
+    chosen += [_lost(fit, list(slopes[:, :, None] * wave.columns)) for wave in waves if wave.where.endswith(BY_RUN)]
     for effect in effects:
         if effect.on_arm or effect.along is not None or not _is_fast(problem, fit, effect, around):
             continue

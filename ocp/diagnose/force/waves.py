@@ -28,11 +28,10 @@ from typing import Any
 import numpy as np
 from scipy.special import chdtri
 
-from ocp.calibrate.force.noise import Whitener
 from ocp.diagnose.engine.channel_system import Wave
 from ocp.diagnose.engine.kernels import BY_RUN
 from ocp.diagnose.force.fit import EffectFit, ForceProblem
-from ocp.diagnose.rules import LEAST_WAVES, OVERTONES, TRAINS_OFFERED, USUAL_TRAINS, WAVES_PICKED
+from ocp.diagnose.rules import LEAST_WAVES, OVERTONES, RUNS_APART, TRAINS_OFFERED, USUAL_TRAINS, WAVES_PICKED
 from ocp.effects.belt_splice import LENGTHS, RATES
 from ocp.effects.effect import Scanned
 from robots.pose import Array
@@ -57,7 +56,7 @@ def telling_waves(problem: ForceProblem, fit: EffectFit) -> tuple[Wave, ...]:
     white = fit.whiteners[0]
     y = white.back(fit.residual[:n, None])[:, 0]
     if found:
-        found += _apart(problem, white, y, "turn wave" + BY_RUN, np.array(TURNS, float), turned)
+        found += _apart(problem, fit, y, "turn wave" + BY_RUN, np.array(TURNS, float), turned, 1)
     for where, along, weight, highest in _kinds(problem, fit):
         # Everything within a run is seen against the run's own mean: the longest stretch sets how many waves differ.
         length = max(float(np.ptp(along[(c.run == r) & log.contact])) for r in np.unique(c.run[log.contact]))
@@ -66,7 +65,9 @@ def telling_waves(problem: ForceProblem, fit: EffectFit) -> tuple[Wave, ...]:
             continue
         numbers = np.arange(lowest, highest, 1.0 / (FINE * length))
         if where == "time wave":
-            found += _apart(problem, white, y, "time wave" + BY_RUN, numbers, along)
+            # Up to half the logging rate: a train may live on what is seen there by its image.
+            finer = np.arange(lowest, highest / HIGHEST, 1.0 / (FINE * OVERTONES * length))
+            found += _apart(problem, fit, y, "time wave" + BY_RUN, finer, along, OVERTONES)
         masked = touching * weight
         score = np.abs(_transform(numbers, along, masked * y)) ** 2
         probes = np.unique(np.linspace(0, len(numbers) - 1, LENGTH_PROBES).round().astype(int))
@@ -90,22 +91,28 @@ def telling_waves(problem: ForceProblem, fit: EffectFit) -> tuple[Wave, ...]:
     return tuple(found)
 
 
-def _apart(problem: ForceProblem, white: Whitener, y: Array, where: str, numbers: Array, along: Array) -> list[Wave]:
-    """The wave of one of evenly spaced numbers that gains most with a phase of its own in each run; none of a single run."""
-    log = problem.log
+def _apart(
+    problem: ForceProblem, fit: EffectFit, y: Array, where: str, numbers: Array, along: Array, most: int
+) -> Iterator[Wave]:
+    """Of waves of evenly spaced numbers with a phase of their own in each run, alone and as periods of `most` tones, those that
+    gain most; none of a single run, or of very many."""
+    log, white = problem.log, fit.whiteners[0]
     runs, index = np.unique(np.where(log.contact, log.run, -1), return_inverse=True)
     each = (index[:, None] == np.flatnonzero(runs >= 0)).astype(float)
-    if each.shape[1] < 2:
-        return []
+    if not 1 < each.shape[1] <= RUNS_APART:
+        return
     probes = np.unique(np.linspace(0, len(numbers) - 1, LENGTH_PROBES).round().astype(int))
     touching = log.contact[:, None]
     sizes = [each.T @ np.sum(white.whole(touching * _both(numbers[k] * along)) ** 2, axis=1) / 2 for k in probes]
     gain = np.zeros(len(numbers))
     for own, size in zip(each.T > 0, np.array(sizes).T, strict=True):
         gain += np.abs(_transform(numbers, along[own], y[own])) ** 2 / np.interp(numbers, numbers[probes], size)
-    best = float(numbers[np.argmax(gain)])
-    columns = (each[:, :, None] * _both(best * along)[:, None]).reshape(len(log), -1)
-    return [Wave(where, best, columns, max(len(numbers) // 2, WAVES_PICKED))]
+    for count, name in {most: where.replace("wave", "period"), 1: where}.items():
+        tones, able = np.arange(1, count + 1), numbers[numbers * count <= numbers[-1]]
+        best = float(able[np.sum([np.interp(tone * able, numbers, gain) for tone in tones], axis=0).argmax()])
+        columns = np.hstack([_both(tone * best * along) for tone in tones])
+        columns = (each[:, :, None] * columns[:, None]).reshape(len(log), -1)
+        yield Wave(name, best, columns, max(len(numbers) // (2 * most), WAVES_PICKED))
 
 
 def _transform(numbers: Array, along: Array, y: Array) -> Array:

@@ -27,7 +27,7 @@ SUBSYSTEM = {"target x time": "target", "hang": "target", "payload": "payload"} 
 _READS = {
     "blade": "s, line, s wave, s period, clock x s, setpoint x s",
     "wheel": "wheel_temperature, belt, turn, clock wave, time wave, time period, belt x time, setpoint x clock, setpoint x belt, "
-    "turn wave x run, time wave x run",
+    "turn wave x run, time wave x run, time period x run",
     "tool": "run, session",
     "flange": "setpoint, s wave x travel, s period x travel, travel x s",
     "timing": "travel, feed, travel x feed",
