@@ -527,8 +527,8 @@ OVERTONES = 3
 sixth of its square."""
 
 RUNS_APART = 40
-"""[runs] In contact at most, of which waves may have a phase for each. Guards: minutes; in longer logs a hum may be named a splice.
-Reason: judgement, each run costs 20 columns; an alias of a hum keeps pace with ever fewer of many runs."""
+"""[runs] In contact at most, of which waves may have a phase for each. Guards: minutes; in longer logs a hum may be named a
+splice. Reason: judgement, each run costs 20 columns; an alias of a hum keeps pace with ever fewer of many runs."""
 
 LEAST_WAVES = 1.5
 """[waves] Over the longest run. Guards: waves against what is merely slow. Reason: slower ones are the smooth functions'."""
