@@ -65,8 +65,8 @@ def telling_waves(problem: ForceProblem, fit: EffectFit) -> tuple[Wave, ...]:
             continue
         numbers = np.arange(lowest, highest, 1.0 / (FINE * length))
         if where == "time wave":
-            # Up to half the logging rate: a train may live on what is seen there by its image.
-            finer = np.arange(lowest, highest / HIGHEST, 1.0 / (FINE * OVERTONES * length))
+            # Where trains have their tones, up to half the logging rate; slower ones would follow what smooth functions are for.
+            finer = np.arange(max(lowest, RATES[0]), highest / HIGHEST, 1.0 / (FINE * OVERTONES * length))
             found += _apart(problem, fit, y, "time wave" + BY_RUN, finer, along, OVERTONES)
         masked = touching * weight
         score = np.abs(_transform(numbers, along, masked * y)) ** 2
@@ -95,11 +95,11 @@ def _apart(
     problem: ForceProblem, fit: EffectFit, y: Array, where: str, numbers: Array, along: Array, most: int
 ) -> Iterator[Wave]:
     """Of waves of evenly spaced numbers with a phase of their own in each run, alone and as periods of `most` tones, those that
-    gain most; none of a single run, or of very many."""
+    gain most; none of a single run, of very many, or where none is fast enough."""
     log, white = problem.log, fit.whiteners[0]
     runs, index = np.unique(np.where(log.contact, log.run, -1), return_inverse=True)
     each = (index[:, None] == np.flatnonzero(runs >= 0)).astype(float)
-    if not 1 < each.shape[1] <= RUNS_APART:
+    if not 1 < each.shape[1] <= RUNS_APART or not len(numbers) or most * numbers[0] > numbers[-1]:
         return
     probes = np.unique(np.linspace(0, len(numbers) - 1, LENGTH_PROBES).round().astype(int))
     touching = log.contact[:, None]
