@@ -26,12 +26,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.special import chdtri
+from scipy.special import chdtrc, chdtri
 
 from ocp.diagnose.engine.channel_system import Wave
 from ocp.diagnose.engine.kernels import BY_RUN
 from ocp.diagnose.force.fit import EffectFit, ForceProblem
-from ocp.diagnose.rules import LEAST_WAVES, OVERTONES, RUNS_APART, TRAINS_OFFERED, USUAL_TRAINS, WAVES_PICKED
+from ocp.diagnose.rules import LEAST_WAVES, OVERTONES, PLACE_SURE, RUNS_APART, TRAINS_OFFERED, USUAL_TRAINS, WAVES_PICKED
 from ocp.effects.belt_splice import LENGTHS, RATES
 from ocp.effects.effect import Scanned
 from robots.pose import Array
@@ -95,7 +95,7 @@ def _apart(
     problem: ForceProblem, fit: EffectFit, y: Array, where: str, numbers: Array, along: Array, most: int
 ) -> Iterator[Wave]:
     """Of waves of evenly spaced numbers with a phase of their own in each run, alone and as periods of `most` tones, those that
-    gain most; none of a single run, of very many, or where none is fast enough."""
+    gain most, where that is more than chance; none of a single run, of very many, or where none is fast enough."""
     log, white = problem.log, fit.whiteners[0]
     runs, index = np.unique(np.where(log.contact, log.run, -1), return_inverse=True)
     each = (index[:, None] == np.flatnonzero(runs >= 0)).astype(float)
@@ -109,7 +109,10 @@ def _apart(
         gain += np.abs(_transform(numbers, along[own], y[own])) ** 2 / np.interp(numbers, numbers[probes], size)
     for count, name in {most: where.replace("wave", "period"), 1: where}.items():
         tones, able = np.arange(1, count + 1), numbers[numbers * count <= numbers[-1]]
-        best = float(able[np.sum([np.interp(tone * able, numbers, gain) for tone in tones], axis=0).argmax()])
+        gained = np.sum([np.interp(tone * able, numbers, gain) for tone in tones], axis=0)
+        if len(able) * chdtrc(2 * count * each.shape[1], gained.max()) > PLACE_SURE:
+            continue  # chance makes as much, and every column is carried through all that follows
+        best = float(able[gained.argmax()])
         columns = np.hstack([_both(tone * best * along) for tone in tones])
         columns = (each[:, :, None] * columns[:, None]).reshape(len(log), -1)
         yield Wave(name, best, columns, max(len(numbers) // (2 * most), WAVES_PICKED))
