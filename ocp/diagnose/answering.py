@@ -6,12 +6,10 @@ one diagnoses: matplotlib takes a second to import and a second to draw, on a se
 the page is made here, after the rest.
 """
 
-import gc
 import re
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from importlib import import_module
 from pathlib import Path
 from typing import cast
 
@@ -41,7 +39,7 @@ from ocp.effects.patch import PATCH
 from ocp.model.cell import files_of
 from ocp.shell.cache import sha256
 from ocp.shell.output import reserved
-from ocp.shell.processes import cores, interrupts_held_back, nothing, workers
+from ocp.shell.processes import cores, interrupts_held_back, nothing, warmed, workers
 from ocp.shell.progress import Phases
 from robots.calibration.mistakes import refuse_mistakes
 from robots.calibration.solver import Campaign
@@ -326,15 +324,10 @@ def drawn_beside() -> Iterator[Callable[[Answer, dict[str, str]], Page]]:
     if cores() < 2:
         yield lambda answer, hashes: lambda: _page_of(answer, hashes)
         return
-    with workers(1, nothing) as pool:  # which imports nothing here: this process would wait until it has
+    with workers(1, warmed, "ocp.diagnose.report.page") as pool:
         with interrupts_held_back():
-            pool.submit(_ready)
+            pool.submit(nothing)  # a pool starts its process at the first task
         yield lambda answer, hashes: pool.submit(_page_of, lean(answer), hashes).result
-
-
-def _ready() -> None:
-    import_module("ocp.diagnose.report.page").warm_up()
-    gc.freeze()  # what was imported stays: looking through it for garbage again and again takes a tenth of the drawing
 
 
 def _page_of(answer: Answer, hashes: dict[str, str]) -> bytes:

@@ -419,6 +419,13 @@ def _import(*modules: str) -> None:
     gc.freeze()  # what was imported stays
 
 
+def warmed(module: str) -> None:
+    """The `start` of a worker that imports `module` and calls its `warm_up`, for which nobody waits; ended meanwhile it ends at
+    once: an import that is broken off by an exception tells of a broken library."""
+    import_module(module).warm_up()
+    gc.freeze()  # what was imported stays: looking through it for garbage again and again takes a tenth of the drawing
+
+
 def _start(file: str) -> None:
     collect_seldom()
     threading.Thread(target=_end_with_spawner, daemon=True).start()
