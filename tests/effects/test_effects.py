@@ -236,6 +236,14 @@ def test_values_and_coefficients_are_inverse_and_survive_a_cell_file(place, seed
     assert pickle.loads(pickle.dumps(one)).effect is effect
 
 
+@pytest.mark.parametrize(("name", "key"), [("sensor_crosstalk", "share"), ("tangential_force", "leak")])
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_a_share_of_the_tangential_force_has_its_sign_in_itself(name, key, sign):
+    effect = library()[name]
+    a, scanned = effect.coefficients_of({"dmu": 0.1, "friction": 0.35, key: 0.05 * sign})
+    assert np.sign(a[-1]) == sign and effect.values(a, {"friction": 0.35} | scanned)[key] == pytest.approx(0.05 * sign)
+
+
 @given(st.floats(1e-6, 1.0), st.floats(-3.1, 3.1))
 def test_amplitude_and_phase_are_those_of_the_wave(amplitude, phase):
     a = cosine_and_sine(amplitude, phase)
