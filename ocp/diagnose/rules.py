@@ -515,16 +515,16 @@ TRAINS_OFFERED = 2
 """[trains] Of a belt's splice that are offered of all rates and places. Guards: against names found in noise: every picked row
 holds noise that was picked with it. Reason: the true one and its rival."""
 
-USUAL_TRAINS = 6000
-"""[trains] That differ in a log of the usual length, where nothing was measured yet. Reason: some 190 lines of the spectrum
-between the lowest and the highest rate, 32 places of a turn each."""
-
 WAVES_PICKED = 1
 """[waves] Of each kind that are offered. Guards and Reason: as TRAINS_OFFERED."""
 
 OVERTONES = 3
 """[waves] Waves of a period. Guards: a name against what one wave leaves of a period. Reason: a saw's further ones have a
 sixth of its square."""
+
+KNOCKING = 12
+"""[waves] Of what knocks. Guards: 'no gap' against knocks that the catalogue does not have. Reason: a knock of a twentieth of its
+period has as many that count."""
 
 RUNS_APART = 40
 """[runs] In contact at most, of which waves may have a phase for each. Guards: minutes; in longer logs a hum may be named a

@@ -18,8 +18,8 @@ from ocp.diagnose.engine.search import Diverged, search_and_refit
 from ocp.diagnose.force import fit as fitting
 from ocp.diagnose.force.channel import ForceChannel
 from ocp.diagnose.force.fit import fit_effects, linear
-from ocp.diagnose.force.waves import likely_trains, picked_squares, telling_waves
-from ocp.diagnose.rules import HOPELESS_FITS, OVERTONES
+from ocp.diagnose.force.waves import _gains, _scores, likely_trains, picked_squares, telling_waves
+from ocp.diagnose.rules import HOPELESS_FITS, OVERTONES, TRAINS_OFFERED
 from ocp.diagnose.verdict import diagnosis
 from ocp.diagnose.verdict.diagnosis import diagnose_channels, findings
 from robots.errors import Infeasible
@@ -86,6 +86,32 @@ def test_noise_alone_offers_no_knocks_worth_their_number(made: Made, tmp_path): 
     log, _ = _log(made.base, (), tmp_path, 21)
     found = diagnose_channels([_again(made, log)], {"belt_splice": EFFECTS["belt_splice"]})
     assert found.p_none > 0.9
+
+
+def test_the_best_train_of_noise_is_worth_less_than_how_many_there_are(made: Made):  # noqa: F811
+    """Noise at its likeliest: as many trains fit into a campaign as its clock and their sharpness tell apart."""
+    problem, fit, rng = made.channel.problem, made.channel.fit, np.random.default_rng(3)
+    worth = []
+    for _ in range(6):
+        noise = replace(fit, residual=rng.normal(size=len(fit.residual)))
+        trains = likely_trains(problem, noise)
+        best, y = trains.found[0], _scores(problem, noise)
+        time = problem.scene.conditions.clock if best["clocked"] else problem.scene.conditions.time
+        gain = _gains(problem, noise, y, time, [best])[0]
+        worth.append(0.5 * gain - np.log(trains.among))
+        assert trains.picked / TRAINS_OFFERED == pytest.approx(gain, abs=9.0)
+    assert max(worth) < 0.0 and np.mean(worth) > -12.0
+
+
+@pytest.mark.parametrize("hz", [13.59, 8.2])
+def test_knocks_that_the_catalogue_does_not_have_are_told_as_unknown(made: Made, hz):  # noqa: F811
+    """Below the noise of one reading, and with tones beyond half the logging rate."""
+    log = made.channel.log
+    knocks = 0.35 * log.contact * bell(hz * made.channel.problem.scene.conditions.time - 0.2, 0.02)
+    channel = _again(made, replace(log, fn=log.fn + knocks))
+    found = diagnose_channels([channel], {name: e for name, e in EFFECTS.items() if name != "belt_splice"})
+    assert found.p_unknown > 0.9 and not found.active
+    assert found.location is not None and found.location.depends_on == ("time",) and found.location.subsystem == "wheel"
 
 
 def test_a_single_tone_is_no_knock_and_nothing_of_the_catalogue(made: Made, tmp_path):  # noqa: F811

@@ -109,7 +109,7 @@ class Kernel:
 
 def is_periodic(where: str) -> bool:
     """Whether a kernel is of waves or periods, of which the most telling are taken."""
-    return "wave" in where or "period" in where
+    return any(word in where for word in ("wave", "period", "knocks"))
 
 
 def kernels(c: ReadingConditions) -> Iterator[Kernel]:

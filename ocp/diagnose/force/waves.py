@@ -8,8 +8,8 @@ of one number,
 the squares that the wave takes from the residual; lengths are taken at a few numbers and interpolated. Of time and of the
 wheel's turn there are waves of one number whose phase each run has for itself (a hum, a wheel that turned on between runs): their
 gains are sums over runs. A train that is none, whose knocks fall on such a wave by an alias of the campaign's clock, explains
-less. **Periods** are waves with overtones, a saw along a scarred guide: their gains are sums. What averages over blocks lose of
-the picked ones is kept as rows of their own (`log_averages.py`).
+less. **Periods** are waves with overtones, a saw along a scarred guide: their gains are sums; knocks in time have many. What
+averages over blocks lose of the picked ones is kept as rows of their own (`log_averages.py`).
 
 **Trains**: a knock a hundred times shorter than a run, among 10 rates a second and all places of a turn: far too many variants to
 linearise each. With y = W^T e as above, a train of bells h at rate f, place p and length w has
@@ -17,8 +17,8 @@ linearise each. With y = W^T e as above, a train of bells h at rate f, place p a
     h . y = sum over m of c_m Re(exp(2 pi i m p) S(m f)),   c_m = (2 pi)^(1/2) w exp(-2 (pi m w)^2), twice that for m > 0
 
 with S(g) = sum of y exp(-2 pi i g t) (Poisson summation): from S all variants are scored, the best few again with their exact
-columns. The others count in the prior odds: `among` of them were looked at. Only the normal reading is: whether a knock rubs is
-not known before.
+columns. The others count in the prior odds: `among` as sharp ones fit into all rates, places and lengths. Only the normal reading
+is looked at: whether a knock rubs is not known before.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -31,8 +31,8 @@ from scipy.special import chdtrc, chdtri
 from ocp.diagnose.engine.channel_system import Wave
 from ocp.diagnose.engine.kernels import BY_RUN
 from ocp.diagnose.force.fit import EffectFit, ForceProblem
-from ocp.diagnose.rules import LEAST_WAVES, OVERTONES, PLACE_SURE, RUNS_APART, TRAINS_OFFERED, USUAL_TRAINS, WAVES_PICKED
-from ocp.effects.belt_splice import LENGTHS, RATES
+from ocp.diagnose.rules import KNOCKING, LEAST_WAVES, OVERTONES, PLACE_SURE, RUNS_APART, TRAINS_OFFERED, WAVES_PICKED
+from ocp.effects.belt_splice import LENGTHS, RATES, USUAL
 from ocp.effects.effect import Scanned
 from robots.pose import Array
 
@@ -73,6 +73,8 @@ def telling_waves(problem: ForceProblem, fit: EffectFit) -> tuple[Wave, ...]:
         probes = np.unique(np.linspace(0, len(numbers) - 1, LENGTH_PROBES).round().astype(int))
         sizes = [float(np.sum(white.whole(masked[:, None] * _both(numbers[k] * along)) ** 2)) / 2 for k in probes]
         gain = score / np.interp(numbers, numbers[probes], sizes)
+        if where == "time wave":
+            found += _knocks(numbers, gain, highest / HIGHEST, along, touching)
         among = max(int(len(numbers) / 2), WAVES_PICKED)
         waves = [(where, numbers[k], 1) for k in _peaks(gain)]
         tones = np.arange(1, OVERTONES + 1)
@@ -89,6 +91,20 @@ def telling_waves(problem: ForceProblem, fit: EffectFit) -> tuple[Wave, ...]:
             columns = [_both(tone * number * along) for tone in range(1, count + 1)]
             found.append(Wave(name, float(number), masked[:, None] * np.hstack(columns), among))
     return tuple(found)
+
+
+def _knocks(numbers: Array, gain: Array, half: float, along: Array, touching: Array) -> Iterator[Wave]:
+    """The period of many tones that gains most, where that is more than chance; a tone beyond `half` the logging rate is read at
+    its image. numbers, gain (k,): of single waves; along (n,): what is even of the log's time."""
+    rates = np.arange(RATES[0], half, (numbers[1] - numbers[0]) / KNOCKING)
+    tones = np.outer(np.arange(1, KNOCKING + 1), rates)
+    image = np.abs(tones - 2 * half * np.round(tones / (2 * half)))
+    inside = (image >= numbers[0]) & (image <= numbers[-1])
+    gained = np.sum(np.where(inside, np.interp(image, numbers, gain), 0.0), axis=0)
+    best = int(np.argmax(gained))
+    if len(rates) * chdtrc(2 * inside[:, best].sum(), gained[best]) < PLACE_SURE:
+        columns = np.hstack([_both(tone * along) for tone in tones[inside[:, best], best]]) / KNOCKING  # together 1 high
+        yield Wave("time knocks", float(rates[best]), touching[:, None] * columns, len(rates) // 2)
 
 
 def _apart(
@@ -183,41 +199,51 @@ FAR = 2**22  # points at most of the transform over a campaign's clock; a longer
 
 @dataclass(frozen=True)
 class SpliceTrains:
-    """Scanned values of `belt_splice`, most telling first, and how many differ."""
+    """Scanned values of `belt_splice`, most telling first, of how many they are the most telling, the squares beyond their number
+    that noise alone has in their rows."""
 
     found: tuple[Scanned, ...]
     among: int
-
-    @property
-    def picked(self) -> float:
-        """Squares beyond their number that noise alone has in the rows of the picked trains: each the largest of so many."""
-        return TRAINS_OFFERED * (2.0 * float(np.log(self.among)) - 1.0) if self.found else 0.0
+    picked: float = 0.0
 
 
 def likely_trains(problem: ForceProblem, fit: EffectFit) -> SpliceTrains:
     """The trains of knocks that the residual speaks for most; none where nothing was measured or time does not run."""
     log, c = problem.log, problem.scene.conditions
     steps = np.diff(log.time)[np.diff(log.run) == 0]
-    if not fit.residual.any():
-        return SpliceTrains((), USUAL_TRAINS)
+    if not fit.residual.any():  # imagined readings: usual knocks that are only just worth their number
+        sharpness = float(np.std(c.time[log.contact])) / USUAL**2
+        return SpliceTrains((), round(_as_many(sharpness, max(2.0 * np.log(_as_many(sharpness, 4 * np.pi)), 1.0))))
     if not (c.belt[log.contact] != 0).any() or not len(steps) or np.median(steps) <= 0:  # a belt that stands knocks nowhere
         return SpliceTrains((), 1)
     y = _scores(problem, fit)
     size = _sizes(problem, fit)
-    found, among = list[tuple[float, Scanned]](), 0
+    found = list[tuple[float, Scanned, float]]()
     clocks = [(0.0, c.time)] + ([(1.0, c.clock)] if "clock_s" in c.given and len(np.unique(c.run)) > 1 else [])
     for clocked, time in clocks:
         if np.ptp(time) > (FAR - 1) * np.median(steps):
             continue
         rates, S = _spectrum(time, y, float(np.median(steps)), float(np.ptp(time)))
-        among += len(rates) // 4 * PLACES
+        spread = len(clocks) * float(np.std(time[log.contact]))
         for hz, turn, length in _first_look(rates, S, size):
-            found.append(_exact(problem, fit, y, {"hz": hz, "turn": turn, "length": length, "clocked": clocked}))
+            gain, best = _exact(problem, fit, y, {"hz": hz, "turn": turn, "length": length, "clocked": clocked})
+            found.append((gain, best, spread / best["length"] ** 2))
     if not found:
         return SpliceTrains((), 1)
     found.sort(key=lambda one: -one[0])
-    offered = [scanned for _, scanned in found[:TRAINS_OFFERED]]
-    return SpliceTrains((*offered, *_around(offered[0])), max(among, len(offered)))
+    gain, best, sharpness = found[0]
+    offered = (*(scanned for _, scanned, _ in found[:TRAINS_OFFERED]), *_around(best))
+    among = _as_many(sharpness, gain) * (len(offered) - TRAINS_OFFERED + 1)
+    picked = len(found[:TRAINS_OFFERED]) * (float(chdtri(1, min(2.0 / _as_many(sharpness, 2 * np.pi), 1.0))) - 1.0)
+    return SpliceTrains(offered, max(round(among), len(offered)), picked)
+
+
+def _as_many(sharpness: float, gain: float) -> float:
+    """Trains of a gain that fit into all rates, places and lengths: the volume of these over the posterior's (Laplace; a train
+    moved by x lengths, or with a length exp(x) times as long, keeps 1 - x^2 / 2 of the gain). sharpness: standard deviation of
+    the readings' times over the length's square, s."""
+    every = (RATES[1] - RATES[0]) * float(np.log(LENGTHS[1] / LENGTHS[0]))
+    return every * sharpness * (gain / (4 * np.pi)) ** 1.5
 
 
 def _scores(problem: ForceProblem, fit: EffectFit) -> Array:

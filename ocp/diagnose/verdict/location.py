@@ -26,8 +26,8 @@ from robots.pose import Array
 SUBSYSTEM = {"target x time": "target", "hang": "target", "payload": "payload"}  # of frame and beam; others: the tracker
 _READS = {
     "blade": "s, line, s wave, s period, clock x s, setpoint x s",
-    "wheel": "wheel_temperature, belt, turn, clock wave, time wave, time period, belt x time, setpoint x clock, setpoint x belt, "
-    "turn wave x run, time wave x run, time period x run",
+    "wheel": "wheel_temperature, belt, turn, clock wave, time wave, time period, time knocks, belt x time, setpoint x clock, "
+    "setpoint x belt, turn wave x run, time wave x run, time period x run",
     "tool": "run, session",
     "flange": "setpoint, s wave x travel, s period x travel, travel x s",
     "timing": "travel, feed, travel x feed",
@@ -81,7 +81,7 @@ def of_tests(tests: list[KernelTest]) -> Location | None:
 def depends_on(where: str) -> tuple[str, ...]:
     """What a kernel's name says it depends on: joints' angles q3, approaches approach5, loads tau2, temperature, time, ..."""
     found = (f"q{p.removeprefix('ripple')}" if p.startswith("ripple") else p for p in where.split(" x ") if p)
-    found = (p.removesuffix(" wave").removesuffix(" period") for p in found)
+    found = (p.removesuffix(" wave").removesuffix(" period").removesuffix(" knocks") for p in found)
     return tuple(p.rstrip("123456") if p[:4] in ("temp", "time", "payl") else p for p in found)
 
 
