@@ -20,8 +20,9 @@ from ocp.plan.passes.stretches import CannotGrind
 from ocp.plan.removal.dwell import PROBE, askew, probed_lines, with_feeds
 from ocp.plan.removal.surface import SideCells, flank_cells
 from ocp.plan.removal.wanted import Wanted, wanted_of
-from ocp.plan.rules import FLANGE_SHARE, WHEEL_ROOM
+from ocp.plan.rules import FLANGE_SHARE, STROKE_RESERVE, WHEEL_ROOM
 from robots.errors import BadInput
+from robots.gravity import GRAVITY
 from robots.kinematics import forward
 from robots.pose import Array, apply
 from trajectories.blade import AerofoilShape, Blade, find_shape, read_blade
@@ -83,16 +84,29 @@ def lay_paths(cell: Cell, stl: Path, options: PlanOptions) -> LaidPaths:
     Raises BadInput: the STL, the clamp, the margins or the path handed in cannot be used, or the flange stands across it.
     """
     laid = _laid(cell, stl, options)
-    refuse_flange_across(cell, laid.paths)
+    refuse_flange(cell, laid.paths)
     return laid
 
 
-def refuse_flange_across(cell: Cell, paths: list[BladePath]) -> None:
-    """Raises BadInput where the flange's axis stands across the contact's normal on most of the paths."""
-    if cell.flange is None or cell.flange.axis is None:
+def refuse_flange(cell: Cell, paths: list[BladePath]) -> None:
+    """Raises BadInput where the flange's axis stands across the contact's normal on most of the paths, or where the force would
+    press it to its stop all along them."""
+    flange = cell.flange
+    if flange is None:
         return
-    axis = cell.workpiece.T_flange_blade[:3, :3].T @ cell.flange.axis
-    share = float(np.median(np.abs(np.concatenate([path.n for path in paths]) @ axis)))
+    shares, share = np.ones(sum(len(path.n) for path in paths)), 1.0
+    if flange.axis is not None:
+        shares = np.abs(np.concatenate([path.n for path in paths]) @ cell.workpiece.T_flange_blade[:3, :3].T @ flange.axis)
+        share = float(np.median(shares))
+    weight = 0.0 if flange.gravity_compensated else GRAVITY * flange.carried_mass  # at most, where it hangs along the axis
+    force, usable = np.concatenate([path.force for path in paths]), 0.5 * flange.stroke - STROKE_RESERVE
+    least = float(((force * shares - flange.setpoint - weight) / flange.stiffness).min())
+    if least > usable:
+        raise BadInput(
+            f"{cell.path}: the force flange, set to {flange.setpoint:g} N, would stand {1e3 * least:.1f} mm or more from its "
+            f"middle under the {force.min():g} N asked for, and {1e3 * usable:g} mm are usable: set process.force_N nearer to "
+            "force_flange.setpoint_N, or the other way round"
+        )
     if share < FLANGE_SHARE:
         raise BadInput(
             f"{cell.path}: force_flange.axis stands {np.degrees(np.arccos(share)):.0f} deg to the normal of most of the blade: "

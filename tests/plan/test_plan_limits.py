@@ -42,7 +42,7 @@ from ocp.plan.passes.solve import PassSolver, refuse_violated
 from ocp.plan.passes.stage import N_PLAIN_ROWS, N_ROWS, ROWS
 from ocp.plan.passes.stretches import CannotGrind, LeftOut, LineStretch, cut_out, refuse_mostly_left_out, whole_lines
 from ocp.plan.passes.transcription import N_DYNAMIC
-from ocp.plan.paths import PlanOptions, refuse_flange_across
+from ocp.plan.paths import PlanOptions, refuse_flange
 from ocp.plan.planning import make_plan
 from ocp.plan.readback import BlendError, _timed, force_error
 from ocp.plan.removal.dwell import beyond_reach
@@ -586,10 +586,25 @@ def test_a_flange_that_stands_across_the_blade_is_refused(cell):
         held = replace(cell, flange=replace(cell.flange, axis=axis))
         if refused:
             with pytest.raises(BadInput, match="force_flange.axis stands 60 deg to the normal"):
-                refuse_flange_across(held, [bar_pass()])
+                refuse_flange(held, [bar_pass()])
         else:
-            refuse_flange_across(held, [bar_pass()])
-    refuse_flange_across(replace(cell, flange=None), [bar_pass()])
+            refuse_flange(held, [bar_pass()])
+    refuse_flange(replace(cell, flange=None), [bar_pass()])
+
+
+@pytest.mark.parametrize("carried", [0.0, 1.5])
+def test_a_force_that_the_flange_bears_nowhere_is_refused_before_anything_is_solved(cell, carried):
+    flange = replace(cell.flange, axis=None, carried_mass=carried, gravity_compensated=False)
+    most = flange.setpoint + carried * 9.81 + flange.stiffness * (0.5 * flange.stroke - rules.STROKE_RESERVE)
+    for more in (-1e-3, 1e-3):
+        path = replace(bar_pass(), force=np.full(len(bar_pass().s), most + more))
+        held = replace(cell, flange=flange)
+        if more < 0:
+            refuse_flange(held, [path])
+        else:
+            with pytest.raises(BadInput, match="would stand .* mm or more from its middle under the .* N asked for"):
+                refuse_flange(held, [path])
+            refuse_flange(held, [path, replace(path, force=path.force - 0.01)])  # elsewhere it does
 
 
 def test_a_force_that_is_not_known_to_a_twentieth_is_amber(cell):
