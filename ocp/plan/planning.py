@@ -258,7 +258,10 @@ def reachable_motion(
             if whole:
                 raise
             solved = left_out_too(solved, [error])
-    raise Infeasible(f"nothing of the blade can be ground: {solved.left_out[0].clause()}")
+    raise Infeasible(
+        f"nothing of the blade can be ground: {solved.left_out[0].clause()}; what of the cell looks wrong says "
+        f"python -m ocp.cell check {cell.path}"
+    )
 
 
 def _refuse_options(cell_file: Path, cell: Cell, options: PlanOptions) -> None:

@@ -254,6 +254,10 @@ def test_outliers_hardly_move_the_fit(recorded):
     reading, sd = predict(fit, recorded.setup.rows[1])
     plain, _ = predict(recorded.fit, recorded.setup.rows[1])
     assert np.abs(reading - plain).max() < 2.0 * sd.mean() and fit.figures.outliers > 0
+    # Nor are they a gap of the cell; what was left out is judged without them too.
+    assert fit.figures.rms_after > 0.5 and fit.figures.gap_after < 0.1
+    held = fit.held_out["run"]
+    assert max(h.gap for h in held) < 0.2 < min(h.rms for h in held)
 
 
 def test_runs_that_differ_make_the_fit_less_sure(recorded):

@@ -56,10 +56,22 @@ def test_outliers_leave_the_scale_alone_and_count_little():
     y[wild] += 4.0 * rng.choice([-1.0, 1.0], wild.sum())
     noise = estimate_noise(run, time, y)
     assert noise.sigma == pytest.approx(0.25, rel=0.25) and noise.freedom <= 10
+    assert noise.sigma * np.sqrt(noise.usual) == pytest.approx(0.25, rel=0.06)  # of the others
     weight = np.ones(len(y))
     for _ in range(3):
         weight = student_weights(Runs.of(run, time), noise, y, weight)
     assert np.median(weight[wild]) < 0.1 < 0.9 < np.median(weight[~wild])
+
+
+@pytest.mark.parametrize("freedom", [4.0, 60.0])
+def test_of_noise_with_tails_the_deviation_is_told_beside_the_scale(freedom):
+    rng = np.random.default_rng(6)
+    run, time = np.repeat(np.arange(14), 210), np.tile(0.01 * np.arange(210), 14)
+    y = 0.2 * rng.standard_t(freedom, len(run))
+    noise = estimate_noise(run, time, y)
+    assert noise.sigma == pytest.approx(0.2, rel=0.15)
+    kept = np.abs(y) < 0.2 * np.sqrt((freedom + 1.0) / 0.1 - freedom)
+    assert noise.sigma * np.sqrt(noise.usual) == pytest.approx(y[kept].std(), rel=0.08)
 
 
 def test_one_short_run_still_gives_a_sound_noise():

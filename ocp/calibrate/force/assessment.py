@@ -13,6 +13,7 @@ from scipy.sparse.csgraph import connected_components
 from ocp.calibrate.force.fit import BIAS, FIT_NAMES, ForceSolution
 from ocp.calibrate.force.log import Flags, ForceLog, Index
 from ocp.calibrate.force.model import ForceRows
+from ocp.calibrate.force.noise import GROSS
 from robots.pose import Array
 
 
@@ -74,8 +75,9 @@ def _fold(solution: ForceSolution, log: ForceLog, left: Flags) -> HeldOutForce:
     root = solution.jacobian[at] @ solution.prior.root
     error = log.fn[at] - solution.reading[at] - root @ change[: root.shape[1]]
     rms = float(np.sqrt(np.mean(error**2)))
-    noise = float(np.mean(channel.sigma()[at] ** 2))
-    return HeldOutForce(len(at), rms, float(error.mean()), float(np.sqrt(max(rms**2 - noise, 0.0))))
+    usual = error[channel.weight[at] > GROSS]
+    more = float(np.mean(usual**2) - np.mean(channel.sigma()[at] ** 2)) if len(usual) else 0.0
+    return HeldOutForce(len(at), rms, float(error.mean()), float(np.sqrt(max(more, 0.0))))
 
 
 UNSEEN = 0.9  # of the prior's standard deviation: a parameter left with more was not seen

@@ -32,18 +32,20 @@ FEW = 20  # rows of a kind from which its noise is estimated
 # Logit of the correlated share and logarithm of tau in samples, as they usually are: what few rows cannot tell stays there.
 USUAL: Array = np.array([0.0, np.log(4.0)])
 USUAL_SD: Array = np.array([1.5, 0.8])
+GROSS = 0.1  # weight of Student's t up to which a reading is gross, of no gap
 FREEDOMS = (4.0, 6.0, 10.0, 20.0, 60.0)  # of Student's t; 60 is as good as a normal law
 
 
 @dataclass(frozen=True)
 class CorrelatedNoise:
     """sigma N (or a factor on given sigmas); share (0..1) of its variance that is correlated, over the time tau s; freedom of
-    Student's t."""
+    Student's t, of which sigma is the scale; usual: variance of what is not gross over sigma^2."""
 
     sigma: float
     share: float
     tau: float
     freedom: float = 60.0
+    usual: float = 1.0
 
     def information(self) -> float:
         """Share of a normal law's information that a sample of Student's t with the same scale carries."""
@@ -188,7 +190,8 @@ def estimate_noise(run: Index, time: Array, residual: Array, before: CorrelatedN
     found = minimize(cost, start, method="Nelder-Mead", options=options)
     noise = _noise(found.x, step)
     white, _ = whiten(runs, noise, np.ones(len(rest)), rest[:, None])
-    return _with_freedom(noise, white[:, 0])
+    noise = _with_freedom(noise, white[:, 0])
+    return replace(noise, usual=_usual(runs, noise, columns, weight))
 
 
 def student_weights(runs: Runs, noise: CorrelatedNoise, residual: Array, weight: Array) -> Array:
@@ -215,12 +218,24 @@ def _slow_course(runs: Runs, time: Array) -> Array:
     return out
 
 
-def _detrended(runs: Runs, columns: Array) -> Array:
-    rest = columns[:, 0].copy()
+def _detrended(runs: Runs, columns: Array, weight: Array | None = None) -> Array:
+    rest, root = columns[:, 0].copy(), np.sqrt(np.ones(len(columns)) if weight is None else weight)[:, None]
     for row in runs.index:
         at = row[row >= 0]
-        rest[at] -= columns[at, 1:] @ np.linalg.lstsq(columns[at, 1:], columns[at, 0], rcond=None)[0]
+        own = columns[at] * root[at]
+        rest[at] -= columns[at, 1:] @ np.linalg.lstsq(own[:, 1:], own[:, 0], rcond=None)[0]
     return rest
+
+
+def _usual(runs: Runs, noise: CorrelatedNoise, columns: Array, weight: Array) -> float:
+    """Variance over sigma^2 of what is not gross, about a slow course that gross readings do not pull, in a filter that they do
+    not enter."""
+    rest = _detrended(runs, columns, weight)
+    for _ in range(2):
+        weight = student_weights(runs, noise, rest, weight)
+    white, _ = whiten(runs, noise, weight, rest[:, None])
+    kept, slow = weight > GROSS, np.count_nonzero([(columns[row[row >= 0], 1:] != 0).any(axis=0) for row in runs.index])
+    return float(np.sum(white[kept, 0] ** 2 / weight[kept]) / max(np.count_nonzero(kept) - slow, 1))
 
 
 def _restricted(runs: Runs, noise: CorrelatedNoise, weight: Array, columns: Array) -> float:
@@ -301,10 +316,10 @@ class ReadingNoise:
         return np.asarray(sum(k.noise.information() * sensitivity[k.rows].T @ sensitivity[k.rows] for k in self.kinds.values()))
 
     def sigma(self) -> Array:
-        """One sigma (n,) N of each reading."""
+        """One standard deviation (n,) N of each reading, gross ones apart."""
         out = self.base.copy()
         for kind in self.kinds.values():
-            out[kind.rows] *= kind.noise.sigma
+            out[kind.rows] *= kind.noise.sigma * np.sqrt(kind.noise.usual)
         return out
 
     def independent(self) -> float:
@@ -332,8 +347,8 @@ def channel_of(log: ForceLog, residual: Array, before: ReadingNoise | None = Non
             noise = kinds[True].noise
         else:
             noise = CorrelatedNoise(float(np.std(residual[rows] / base[rows])) or 1.0, 0.0, 1.0)
-        if log.sigma_fn is not None:
-            noise = replace(noise, sigma=max(noise.sigma, 1.0))
+        if log.sigma_fn is not None and noise.sigma < 1.0:
+            noise = replace(noise, sigma=1.0, usual=1.0)
         kinds[contact] = NoiseGroup(rows, Runs.of(run, time), noise)
     return ReadingNoise(base, before.weight if before else np.ones(len(log)), kinds)
 

@@ -9,6 +9,7 @@ import numpy as np
 from ocp.calibrate.force.assessment import HeldOutForce, directions_seen, held_out_blocks, not_identified
 from ocp.calibrate.force.fit import BIAS, FIT_NAMES, ForceSolution, force_prior, solve_force_log
 from ocp.calibrate.force.log import Flags, ForceLog, log_mark, refuse_few_rows
+from ocp.calibrate.force.noise import GROSS
 from ocp.calibrate.force.rows import ForceSetup, prepare_force
 from ocp.model.cell import Cell
 from robots.calibration.carried import carried_over
@@ -137,13 +138,14 @@ def refuse_other_force(cell: Cell, fit: ForceFit) -> None:
 def _figures(solution: ForceSolution, log: ForceLog) -> ForceFigures:
     at = log.contact
     before, after = log.fn[at] - solution.before[at], log.fn[at] - solution.reading[at]
+    kept = solution.channel.weight[at] > GROSS
     noise = float(np.mean(solution.channel.sigma()[at] ** 2))
 
     def rms(x: Array) -> float:
         return float(np.sqrt(np.mean(x**2)))
 
     def gap(x: Array) -> float:
-        return float(np.sqrt(max(rms(x) ** 2 - noise, 0.0)))
+        return float(np.sqrt(max(rms(x[kept]) ** 2 - noise, 0.0)))
 
     nominal = np.abs(solution.whitened.residual) / np.sqrt(solution.channel.weight)
     sizes = rms(before), float(before.mean()), rms(after), float(after.mean()), float(np.abs(after).max())

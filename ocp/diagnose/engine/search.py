@@ -270,4 +270,4 @@ def outliers(channel: Channel) -> NDArray[np.bool_]:
 
 
 def _count(channels: Sequence[Channel]) -> int:
-    return sum(int(np.count_nonzero(outliers(c))) for c in channels)
+    return sum(int(np.count_nonzero(outliers(c))) for c in channels if isinstance(c, WeighedReadings))

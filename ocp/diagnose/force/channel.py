@@ -132,7 +132,7 @@ class ForceChannel:
 
     @property
     def noise_floor(self) -> float:
-        """Rms of the normal reading's noise, N."""
+        """Rms of the normal reading's noise, gross readings apart, N."""
         sigma = self.fit.whiteners[0].noise.sigma()[self.log.contact]
         return float(np.sqrt(np.mean(sigma**2)))
 

@@ -122,6 +122,11 @@ class EffectFit(Linear):
         return self.sensitivity.T @ self.sensitivity
 
     @property
+    def weight(self) -> Array:
+        """Of each normal reading (n,), outliers low."""
+        return self.whiteners[0].noise.weight
+
+    @property
     def active(self) -> tuple[Active, ...]:
         """Active effects with values and covariance."""
         return self.at.active
