@@ -269,6 +269,16 @@ def test_a_log_in_another_unit_than_the_cell_is_refused(tmp_path, setpoint):
             refuse_force_unit(read(tmp_path, rows(fn_N=20.0, contact=1, **more)), cell)
 
 
+def test_a_unit_is_told_by_the_force_that_is_held(tmp_path):
+    """Short lines are touch and lift for the most part, and there the force is any share of the setpoint."""
+    cell = SimpleNamespace(flange=SimpleNamespace(setpoint=20.0), process=SimpleNamespace(force=20.0))
+    feeds = [2.0, 4.0, 8.0, 12.0, 16.0, 24.0, *[40.0] * 7, 24.0, 16.0, 12.0, 8.0, 4.0, 2.0]
+    held = [row | {"fn_N": 12.0 if row["feed_mm_s"] == 40.0 else 20.0 / 4.44822} for row in ramped(feeds)]
+    refuse_force_unit(read(tmp_path, held), cell)
+    with pytest.raises(BadInput, match="as a force in pounds-force"):
+        refuse_force_unit(read(tmp_path, [row | {"fn_N": row["fn_N"] / 2.7} for row in held]), cell)
+
+
 def test_files_that_are_no_table_are_refused(tmp_path):
     path = tmp_path / "force.csv"
     with pytest.raises(BadInput, match=r"force\.csv: cannot be read"):

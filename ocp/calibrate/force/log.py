@@ -223,15 +223,18 @@ def _feed(log: ForceLog, at: Index) -> Array:
 
 
 def refuse_force_unit(log: ForceLog, cell: Cell) -> None:
-    """Raises BadInput: the median force in contact is UNITS_APART times more or less than what the cell asks for, or as much less
-    than what was asked for, row by row where the log says it, as another unit makes it."""
+    """Raises BadInput: the median force in steady contact is UNITS_APART times more or less than what the cell asks for, or as
+    much less than what was asked for, row by row where the log says it, as another unit makes it."""
     wanted = cell.flange.setpoint if cell.flange is not None else cell.process.force
     own = log.setpoint if log.setpoint_sd is None else None
-    pressed = log.fn[log.contact]
-    asked = np.full(len(pressed), wanted) if own is None else own[log.contact]
+    steady = log.contact & steady_rows(log)
+    if not steady.any():
+        steady = log.contact
+    pressed = log.fn[steady]
+    asked = np.full(len(pressed), wanted) if own is None else own[steady]
     there, seen, told = asked > 0, float(np.median(pressed)), float(np.median(asked))
     if cell.flange is not None and told == 0 < seen:
-        k = int(log.row[np.flatnonzero(log.contact)[np.argmin(asked)]])
+        k = int(log.row[np.flatnonzero(steady)[np.argmin(asked)]])
         raise BadInput(
             f"{log.path}, line {k}, column setpoint_N: 0 in contact, as in most of the log, where fn_N is {seen:.3g} N (median); "
             "give what the flange was asked for, or leave the column out"
@@ -252,7 +255,7 @@ def refuse_force_unit(log: ForceLog, cell: Cell) -> None:
         raise BadInput(
             f"{log.path}, column setpoint_N: fn_N is {share:.3g} times as large in contact (median); give both in newtons"
         )
-    pull = 0.0 if log.ft is None else float(np.median(np.abs(log.ft[log.contact])))
+    pull = 0.0 if log.ft is None else float(np.median(np.abs(log.ft[steady])))
     if min(told, seen) > 0 and pull > seen and abs(np.log(pull / told)) < EXCHANGED * abs(np.log(seen / told)):
         raise BadInput(
             f"{log.path}, columns fn_N, ft_N: fn_N is {seen:.3g} and ft_N {pull:.3g} in contact (median) where {told:.3g} N were "
