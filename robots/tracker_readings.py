@@ -158,6 +158,10 @@ class Readings(Stacked):
         few = [rows[np.linspace(0, len(rows) - 1, count).astype(np.int64)] for rows, count in counts]
         return self.take(np.sort(np.concatenate(few)))
 
+    def postures(self) -> Index:
+        """Group (n,) of each reading: the same commanded axes. What a model lacks is alike in all of them."""
+        return np.asarray(np.unique(np.round(self.q / REPEAT_TOLERANCE), axis=0, return_inverse=True)[1], np.int64).ravel()
+
     def repeats(self) -> Index:
         """Group (n,) of each reading: the same axes, target, payload, load, approach, station and session."""
         keys = [np.round(self.q / REPEAT_TOLERANCE), *(getattr(self, w)[:, None] for w in WORDS), self.load]

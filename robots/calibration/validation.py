@@ -56,7 +56,7 @@ class FoldErrors:
 
 
 def folds(campaign: Campaign, seed: int = 0) -> Iterator[ReadingFold]:
-    """All folds that the readings allow, repeats always on one side.
+    """All folds that the readings allow, a posture always on one side, under whatever load and with whatever nest it was read.
 
     Random ones take their share of each station, nest and payload; regions and halves of a joint's range leave a station or nest
     alone that would keep too few readings to be placed.
@@ -86,11 +86,12 @@ def folds(campaign: Campaign, seed: int = 0) -> Iterator[ReadingFold]:
 
 
 def _stratified(readings: Readings, rng: np.random.Generator) -> Index:
-    """Part (n,) of each reading, 0 to FOLDS - 1; each stratum is dealt out in turn, repeats together."""
-    group = readings.repeats()
-    part, dealt = np.zeros(group.max() + 1, np.int64), 0
+    """Part (n,) of each reading, 0 to FOLDS - 1; each stratum is dealt out in turn, a posture with all of its readings."""
+    group = readings.postures()
+    part, dealt = np.full(group.max() + 1, -1), 0
     for rows in readings.strata():
-        postures = rng.permutation(np.unique(group[rows]))
+        postures = np.unique(group[rows])
+        postures = rng.permutation(postures[part[postures] < 0])
         part[postures] = (dealt + np.arange(len(postures))) % FOLDS
         dealt += len(postures)
     return np.asarray(part[group])
@@ -99,7 +100,7 @@ def _stratified(readings: Readings, rng: np.random.Generator) -> Index:
 def _placed(readings: Readings, left: Mask) -> Mask:
     """Readings (n,) whose station and nest are placed by the readings `left` (n,): LEAST_PLACED postures of each."""
     seen = np.ones(len(readings), bool)
-    group = readings.repeats()
+    group = readings.postures()
     for index in (readings.station, readings.target):
         for k in np.unique(index):
             seen[index == k] &= len(np.unique(group[left & (index == k)])) >= LEAST_PLACED

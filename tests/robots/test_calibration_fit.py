@@ -15,7 +15,7 @@ from robots.calibration.noise import repeat_scatter
 from robots.calibration.reading_model import RowInputs, predict, predict_points
 from robots.calibration.residuals import linearise
 from robots.calibration.solver import Campaign
-from robots.calibration.validation import by_kind, validate
+from robots.calibration.validation import by_kind, folds, validate
 from robots.gravity import GRAVITY
 from robots.reference_kinematics import elementary_frames
 from robots.tracker_readings import Hanging, Nest
@@ -263,6 +263,18 @@ def test_held_out_figures_are_larger_than_residuals_and_honest():
     assert {"random", "region", "payload", "joint range"} <= set(table)
     inside = np.sqrt(np.mean(np.sum(fit.residual**2, axis=1)))
     assert table["region"]["rms"] > inside and 0.7 < table["random"]["over_predicted"] < 1.4
+
+
+def test_what_is_left_out_is_a_posture_with_all_that_was_read_in_it():
+    """From either side, with another nest or load: what the model lacks is the same there, and would be known from the other."""
+    _, c, _ = campaign(14, 60)
+    one, twice = c.readings.take(np.arange(30)), c.readings.take(np.tile(np.arange(30), 2))
+    other = {"approach": -one.approach, "target": (one.target + 1) % 3, "load": one.load + 300.0}
+    both = replace(c, readings=replace(twice, **{k: np.concatenate([getattr(one, k), v]) for k, v in other.items()}))
+    for fold in folds(both):
+        assert fold.kind == "payload" or set(fold.held[fold.held < 30]) == set(fold.held[fold.held >= 30] - 30)
+    random = [fold.held for fold in folds(both) if fold.kind == "random"]
+    assert [len(held) for held in random] == [12] * 5 and sorted(np.concatenate(random)) == list(range(60))
 
 
 def test_a_payload_that_is_not_as_believed_is_corrected_when_asked():
