@@ -207,11 +207,43 @@ def _finished(
     scaled = whitened * solution.spread / spread
     if campaign.pairs is not None:
         precision[station_shifts(layout)] = 1.0  # differences do not place the stations; `methods` does afterwards
-    information = scaled.T @ scaled * slope**2 / power + np.diag(precision)
-    covariance = scaled_inverse(information, layout)
+    gain = slope**2 / power
+    covariance = scaled_inverse(gain * scaled.T @ scaled + np.diag(precision), layout)
+    if campaign.pairs is None:
+        shared = gain * _shared_in_postures(solution, scaled, weight, spread, noise, used)
+        covariance = covariance + covariance @ (shared / np.outer(layout.scale, layout.scale)) @ covariance
     believed, found = (campaign, choice, priors, layout, start), (solution.state, solution.offset, covariance)
     seen = solution.linear.residual, weight / weights(np.zeros(1), k), solution.squared, solution.linear.J, solution.W
     return Fit(*believed, *found, *seen, noise, spread, solution.steps)
+
+
+def _shared_in_postures(solution: Solution, scaled: Array, weight: Array, spread: float, noise: Noise, used: float) -> Array:
+    """Covariance (p, p) that the gradient has beside that of independent readings: gears err alike whenever the axes come back.
+
+    The shared part s of the joint noise is told by residuals of one posture and station, s^2 = sum off_i . off_j / sum tr(D_i
+    D_j^T) over i != j, the degrees of freedom that the fit took from the postures given back. scaled (n k, p): sensitivities.
+    """
+    readings, D, n = solution.campaign.readings, solution.linear.d_joints, len(weight)
+    posture = readings.postures()
+    stand = np.unique(np.column_stack([posture, readings.station]), axis=0, return_inverse=True)[1].ravel()
+    w = weight[:, None] / weights(np.zeros(1), solution.W.shape[1])
+    common = _between(stand, w * solution.linear.residual[:, :3]).sum() / max(1.0 - used / (3 * (posture.max() + 1)), 0.1)
+    by_joints = _between(stand, (w * D.reshape(n, -1))).sum()
+    if by_joints <= 0.0:
+        return np.zeros((scaled.shape[1], scaled.shape[1]))
+    s2 = float(np.clip(common / by_joints, 0.0, (noise.joints * spread) ** 2))
+    moved = solution.W[:, :, :3] @ D / spread
+    X = np.swapaxes(scaled.reshape(n, -1, scaled.shape[1]), 1, 2) @ moved
+    sums = np.zeros((posture.max() + 1, *X.shape[1:]))
+    np.add.at(sums, posture, X)
+    return np.asarray(s2 * (np.einsum("gpj,gqj->pq", sums, sums) - np.einsum("npj,nqj->pq", X, X)))
+
+
+def _between(group: Index, rows: Array) -> Array:
+    """Sum over i != j of one group of the products of rows (n, k), by column (k,)."""
+    sums = np.zeros((group.max() + 1, rows.shape[1]))
+    np.add.at(sums, group, rows)
+    return np.asarray((sums**2).sum(axis=0) - (rows**2).sum(axis=0))
 
 
 def scaled_inverse(information: Array, layout: Layout) -> Array:

@@ -52,19 +52,21 @@ def joint_noise(
     usual_sd: float,
     pairs: Index | None = None,
 ) -> Noise:
-    """Most probable joint noise for residuals off (n, 3) m of a fit that took up `used` degrees of freedom (Student's t).
+    """Most probable joint noise for residuals off (n, 3) m of a fit that took up `used` degrees of freedom (Student's t): of the
+    readings for what the tracker scatters, of the postures for the joints, whose errors come back with the axes.
 
     Before any reading it is `usual` rad, with one sigma `usual_sd` of its logarithm. d_joints as in `reading_covariance`; pairs
     (m, 2): the residuals (m, 3) are those of differences between readings.
     """
     freedom = max(1.0 - used / (3.0 * len(off)), 0.1)
+    of_joints = max(1.0 - used / (3.0 * (readings.postures().max() + 1)), 0.1) if pairs is None else freedom
     still = reading_covariance(readings, instrument, Noise(0.0), d_joints)
     per_joint = d_joints @ np.swapaxes(d_joints, 1, 2)
     if pairs is not None:
         still, per_joint = (m[pairs[:, 0]] + m[pairs[:, 1]] for m in (still, per_joint))
 
     def unlikely(log_joints: float) -> float:
-        covariance = freedom * consistency(3) * (still + np.exp(2 * log_joints) * per_joint)
+        covariance = consistency(3) * (freedom * still + of_joints * np.exp(2 * log_joints) * per_joint)
         _, logdet = np.linalg.slogdet(covariance)
         squared = np.einsum("ni,ni->n", off, np.linalg.solve(covariance, off[..., None])[..., 0])
         known = (log_joints - np.log(usual)) / usual_sd

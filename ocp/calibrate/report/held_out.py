@@ -33,8 +33,8 @@ def before_and_after_section(c: TrackerCalibration) -> Section:
     springs = [f"A{j}" for j in range(1, 7) if c.believed.arm[29 + j] > 0]
     held = f"springs of {', '.join(springs)} as believed" if springs else "no springs"
     words = (
-        "Every method was fitted five times to four fifths of the readings and had to predict the other fifth; repeats stay "
-        f"on one side. 'Before' is the believed robot with {held}, and only tracker and nests placed by the same readings."
+        "Every method was fitted five times to four fifths of the readings and had to predict the other fifth; a posture "
+        f"stays on one side. 'Before' is the believed robot with {held}, and only tracker and nests placed by the same readings."
     )
     caption = "Distance between reading and prediction, log scale. Each dot is a reading that the model had not seen."
     methods = Plot("methods", caption, 2.9, lambda canvas: _draw_methods(canvas, c))
