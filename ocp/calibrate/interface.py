@@ -187,12 +187,13 @@ def _use(made: TrackerCalibration, out: Path) -> str:
     errors = made.methods.error[made.method]
     full = made.methods.error.get("full", errors)
     gain, half = made.methods.gained(made.method)
+    doubts = doubts_about(made)
     if gain <= half:
-        return f"Nothing gained: it meets left-out readings as the arm as believed does, within {1e3 * half:.3f} mm"
+        nothing = f"Nothing gained: it meets left-out readings as the arm as believed does, within {1e3 * half:.3f} mm."
+        return " ".join([nothing, *doubts]).removesuffix(".")
     if errors.mean() > 1.5 * full.mean():
         return f"Method full meets the same readings within {1e3 * full.mean():.3f} mm: use that one"
     told = f"{out / 'cell.toml'} is the cell with it, for {'ocp.plan' if made.setup.tables.workpiece else 'diagnosing the arm'}"
-    doubts = doubts_about(made)
     return f"With doubts: {' '.join(doubts)} {told}" if doubts else told
 
 

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from ocp.calibrate.moved_stand import moved_stands
 from ocp.effects.effect import Active
 from ocp.effects.engine.readings import effects_on, has_columns, shown_in, without_effects
 from ocp.model.cell import TrackerSetup, read_tracker_setup
@@ -264,7 +265,7 @@ def _error_of(c: Campaign, choice: Choice, known: Calibration, rows: Array) -> f
 
 def doubts_about(c: TrackerCalibration) -> list[str]:
     """What speaks against a calibration, in sentences: another method does better, errors above what the model states."""
-    error, words = c.methods.error, []
+    error, words = c.methods.error, [one.words for one in moved_stands(c.fit)]
     if len(c.methods.rows):
         after, best = error[c.method], min(error, key=lambda method: float(error[method].mean()))
         if after.max() > c.methods.before.max():
