@@ -80,7 +80,7 @@ class CsvTable:
     def refuse(self, row: int, column: str, reason: str) -> BadInput:
         """The error to raise about one value."""
         value = self.words[column][row] if column in self.words else f"{self.numbers[column][row]:.10g}"
-        return BadInput(f"{self.path}, line {self.line[row]}, column {column}: {shown(value)} {reason}")
+        return BadInput(f"{self.path}, line {self.line[row]}, column {column}: {shown(value) or '(empty)'} {reason}")
 
 
 def read_csv_table(

@@ -325,8 +325,8 @@ def _refuse_few(readings: Readings, campaign: Campaign) -> None:
         seen = int((readings.station == k).sum())
         if seen < LEAST_OF_STATION:
             raise BadInput(
-                f"{readings.path}: station '{readings.stations[k]}' has {seen} readings, {LEAST_OF_STATION} are needed to place "
-                "it; remove its rows or measure more from there"
+                f"{readings.path}, line {readings.line[readings.station == k][0]}, column station: '{readings.stations[k]}' has "
+                f"few readings ({seen}), {LEAST_OF_STATION} are needed to place it; correct the name or measure more from there"
             )
     if postures < LEAST_POSTURES or len(still) > 2:
         refuse_units(campaign)  # axes in radians hardly move

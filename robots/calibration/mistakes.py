@@ -29,7 +29,7 @@ FREE_NEST = 0.1  # m; a nest so loosely held is found where it is
 IS_ANGLE = np.array([True, False, False, True, True])  # of a row of MD-H
 ROWS = 400  # readings looked at; more would say the same
 WRONG_SHARE = 0.2  # of readings that may be far off before the file is refused
-SCALES = {1e3: "in metres, not millimetres", 1e-3: "in micrometres, not millimetres", 1e3 / 39.3701: "in inches, not millimetres"}
+SCALES = {1e3: "metres", 1e-3: "micrometres", 25.4: "inches", 10.0: "centimetres"}  # mm
 
 
 def refuse_mistakes(campaign: Campaign) -> None:
@@ -114,9 +114,10 @@ def refuse_units(campaign: Campaign) -> None:
     ratio = float(np.median(seen[far] / believed[far]))
     for scale, text in SCALES.items():
         if abs(np.log(ratio * scale)) < 0.3:
+            apart = f"{1 / ratio:.0f} times as close together" if ratio < 1 else f"{ratio:.0f} times as far apart"
             raise BadInput(
-                f"{where}: the readings lie {1 / ratio:.3g} times as close together as the arm moved: x, y, z are {text}; "
-                "write x_mm, y_mm, z_mm in millimetres"
+                f"{where}: the readings lie {apart} as the arm moved: x, y, z are in {text}, not millimetres; write x_mm, y_mm, "
+                "z_mm in millimetres"
             )
 
 

@@ -166,3 +166,6 @@ def test_campaigns_that_cannot_tell_anything_are_refused(tmp_path):
         swept.append(",".join(cells))
     (folder / "swept.csv").write_text("\n".join(swept))
     assert "axes 2, 3, 4, 5, 6 never moved" in refused(folder, "swept.csv", "--cell", "cell.toml")
+    stood = [f"{row},{'' if k == 7 else 'hall'}" for k, row in enumerate(rows)]
+    (folder / "stood.csv").write_text("\n".join([f"{header},station", *stood]))
+    assert "line 9, column station: '' has few readings (1), 4 are" in refused(folder, "stood.csv", "--cell", "cell.toml")

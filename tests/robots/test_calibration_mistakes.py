@@ -46,7 +46,9 @@ def craig(mdh: np.ndarray) -> np.ndarray:
 
 
 MISTAKES = {
-    "metres": (of(point=lambda p: p / 1e3), "in metres, not millimetres"),
+    "metres": (of(point=lambda p: p / 1e3), " times as close together as the arm moved: x, y, z are in metres, not millimetres"),
+    "micrometres": (of(point=lambda p: p * 1e3), "times as far apart as the arm moved: x, y, z are in micrometres"),
+    "centimetres": (of(point=lambda p: p / 10), "10 times as close together as the arm moved: x, y, z are in centimetres"),
     "inches": (of(point=lambda p: p / 25.4), "in inches, not millimetres"),
     "radians": (of(q=np.radians), "in radians, not degrees"),
     "a flipped axis": (of(point=lambda p: p * [1, 1, -1]), "left-handed frame"),

@@ -125,6 +125,7 @@ def test_repeats_are_the_same_posture_nest_payload_load_and_approach(tmp_path):
         (HEADER, ROW.replace("900", "nan"), "line 2, column z_mm: 'nan' is not a finite number"),
         (HEADER, ROW.replace("T2", "T9"), "column target: T9 is not in the cell's"),
         (HEADER, ROW.replace("weight", "anvil"), "column payload: anvil is not in the cell's"),
+        (HEADER, ROW.replace("weight", ""), "column payload: (empty) is not in the cell's"),
         (HEADER, ROW + ",1", "12 values where the header names 11 columns"),
         (HEADER.replace(",", ";"), ROW.replace(",", ";"), "separate them by commas"),
         (HEADER + ",sigma_um", ROW + ",-3", "column sigma_um: -3 is not between"),
