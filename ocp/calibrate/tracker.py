@@ -14,7 +14,7 @@ from ocp.model.cell import TrackerSetup, read_tracker_setup
 from ocp.shell.progress import Phases
 from robots.calibration.evidence import Term, choose_terms
 from robots.calibration.fit import Fit, fit_campaign, fit_learned, located, predict_readings, predictive_covariance
-from robots.calibration.identifiability import Identifiability, described, identify
+from robots.calibration.identifiability import Identifiability, described, identify, listed
 from robots.calibration.layout import Choice, Layout, State, nominal_state
 from robots.calibration.load_tests import LoadTest, load_test
 from robots.calibration.methods import METHODS, before, calibrate_by
@@ -25,7 +25,7 @@ from robots.calibration.reading_model import ARM_NAMES, PAYLOAD_NAMES
 from robots.calibration.residuals import linearise, residuals
 from robots.calibration.solver import Campaign, OpenDirection
 from robots.calibration.store import Calibration
-from robots.calibration.validation import FOLDS, GROSS, FoldErrors, by_kind, folds, hold_out, validate
+from robots.calibration.validation import FOLDS, GROSS, LEAST_SWEEP, FoldErrors, by_kind, folds, hold_out, validate
 from robots.column_mapping import ColumnMapping
 from robots.csv_table import OURS
 from robots.errors import BadInput
@@ -264,8 +264,13 @@ def _error_of(c: Campaign, choice: Choice, known: Calibration, rows: Array) -> f
 
 
 def doubts_about(c: TrackerCalibration) -> list[str]:
-    """What speaks against a calibration, in sentences: another method does better, errors above what the model states."""
+    """What speaks against a calibration, in sentences: axes that stood, a tracker that did not, another method that does better,
+    errors above what the model states."""
     error, words = c.methods.error, [one.words for one in moved_stands(c.fit)]
+    stood = [str(j + 1) for j in np.flatnonzero(np.ptp(c.fit.campaign.readings.q, axis=0) < LEAST_SWEEP)]
+    if stood:
+        axes = f"Axis {stood[0]}" if len(stood) == 1 else f"Axes {listed(stood)}"
+        words.append(f"{axes} hardly moved (under {np.degrees(LEAST_SWEEP):.0f} deg): what is told holds near there only.")
     if len(c.methods.rows):
         after, best = error[c.method], min(error, key=lambda method: float(error[method].mean()))
         if after.max() > c.methods.before.max():

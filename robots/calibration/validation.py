@@ -19,6 +19,7 @@ Mask = NDArray[np.bool_]
 
 FOLDS = 5
 LEAST_TRAIN, LEAST_TEST = 15, 3  # readings on each side of a fold
+LEAST_SWEEP = np.radians(20.0)  # of an axis, whose upper half is left out: less tells nothing of how far it carries
 LEAST_PLACED = 4  # postures that place a station or nest
 # Weight in the full fit (Student's t, one at no distance: some 11 sigma) below which a reading is an outlier and is not held
 # against a model. A diagnosis has weights of another scale, probabilities, and another number.
@@ -77,7 +78,7 @@ def folds(campaign: Campaign, seed: int = 0) -> Iterator[ReadingFold]:
                 yield ReadingFold(kind, names[k], np.flatnonzero(index == k))
     for j in range(6):
         middle = np.median(readings.q[:, j])
-        if np.ptp(readings.q[:, j]) > np.radians(20):
+        if np.ptp(readings.q[:, j]) > LEAST_SWEEP:
             yield ReadingFold(
                 "joint range",
                 f"axis {j + 1} above {round(float(np.degrees(middle)))} deg",

@@ -19,7 +19,7 @@ from ocp.calibrate.report.pages import calibration_headline, write_calibration_r
 from ocp.calibrate.report.parameters import tellable_parameters, term_verdict
 from ocp.calibrate.report.residuals import drift_is_real
 from ocp.calibrate.report.view import held_out_in_base, look_at
-from ocp.calibrate.tracker import MethodTable, TrackerCalibration
+from ocp.calibrate.tracker import MethodTable, TrackerCalibration, doubts_about
 from ocp.report.parts import Plot, Points, table
 from ocp.report.plotting import Canvas
 from ocp.report.section import Section
@@ -242,6 +242,17 @@ def test_a_bad_calibration_is_not_praised(made):
     assert "further off than before" in calibration_headline(replace(made, methods=wild), view).sentence
     double = replace(m, error={"full": m.error["full"], "geometry": 2 * m.error["full"]})
     assert "Method 'full' does better" in calibration_headline(replace(made, method="geometry", methods=double), view).sentence
+
+
+def test_an_axis_that_hardly_moved_is_a_doubt(made):
+    """Its readings are met as well as any, left out or not; elsewhere the arm is off by a millimetre."""
+    c, told = made.fit.campaign, "hardly moved (under 20 deg): what is told holds near there only."
+    assert not any(told in words for words in doubts_about(made))
+    for columns, axes in (([0], "Axis 1"), ([1, 4], "Axes 2 and 5")):
+        q = c.readings.q.copy()
+        q[:, columns] = 0.3 + 0.01 * q[:, columns]
+        fit = replace(made.fit, campaign=replace(c, readings=replace(c.readings, q=q)))
+        assert f"{axes} {told}" in doubts_about(replace(made, fit=fit))
 
 
 def test_a_calibration_is_weighed_against_the_arm_as_believed(made):
