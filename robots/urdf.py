@@ -24,6 +24,7 @@ PARALLEL = 1e-6  # sine of the angle below which two axes are one direction: a m
 MEETING = 1e-9  # m
 SAME = 1e-9  # m, and of a rotation's entries: the arm and the URDF are the same machine
 POSTURES = 100
+MOST_TURNED = 25.0  # rad to either side, four turns: no axis of an arm goes as far, and thirty degrees written as radians do
 FARTHEST, HEAVIEST = 100.0, 1e5  # m; kg and kg m^2
 
 
@@ -268,6 +269,9 @@ def _tables(path: Path, model: Any, mdh: Array, signs: list[int], masses: dict[s
         name = shown(model.names[i + 1])
         if not (np.isfinite(ranges[i]).all() and ranges[i][0] < ranges[i][1]):
             raise BadInput(f"{path}: joint '{name}' has no range; add <limit lower=.. upper=..> in rad")
+        if np.abs(ranges[i]).max() > MOST_TURNED:
+            farthest = float(np.abs(ranges[i]).max())
+            raise BadInput(f"{path}: joint '{name}' turns as far as {farthest:g} rad; a URDF is in radians, correct its <limit>")
         if not (np.isfinite(speed[i]) and speed[i] > 0):
             raise BadInput(f"{path}: joint '{name}' has no speed; add <limit velocity=..> in rad/s")
     low, high = np.degrees(np.array(ranges)).T

@@ -96,6 +96,7 @@ def test_any_six_axes_keep_their_flange(tmp_path_factory, steps):
         ('"joint_a6" type="revolute"', '"joint_a6" type="fixed"', "has 5 moving joints, six are needed"),
         ('velocity="2.1468"', 'velocity="0"', "joint 'joint_a1' has no speed"),
         ('lower="-3.2289" upper="3.2289"', 'lower="0" upper="0"', "joint 'joint_a1' has no range"),
+        ('lower="-3.2289" upper="3.2289"', 'lower="-185" upper="185"', "joint 'joint_a1' turns as far as 185 rad; a URDF is in"),
         ("</joint>", '<mimic joint="joint_a2"/></joint>', "joint 'joint_a1' follows another one (mimic)"),
         ("</robot>", "", "is not XML (no element found: line 48"),
         ('<link name="link_5"/>', '<link name="link_6"/>', "is no URDF that can be read"),
