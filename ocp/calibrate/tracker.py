@@ -13,7 +13,7 @@ from ocp.effects.engine.readings import effects_on, has_columns, shown_in, witho
 from ocp.model.cell import TrackerSetup, read_tracker_setup
 from ocp.shell.progress import Phases
 from robots.calibration.evidence import Term, choose_terms
-from robots.calibration.fit import Fit, fit_campaign, fit_learned, located, predict_readings, predictive_covariance
+from robots.calibration.fit import Fit, fit_campaign, fit_learned, located, predict_readings, predictive_covariance, with_turn_sd
 from robots.calibration.identifiability import Identifiability, described, identify, listed
 from robots.calibration.layout import Choice, Layout, State, nominal_state
 from robots.calibration.load_tests import LoadTest, load_test
@@ -138,6 +138,8 @@ def _calibrate(tracker: Path, cell: Path, method: str, phases: Phases, mapping: 
             sealed = as_in(read_readings(beside, setup.payloads, setup.instrument, True, mapping), readings)
     with phases.phase("fit"):
         choice = Choice(joints=tuple(j for j in setup.compliant_joints if setup.robot.stiffness[j - 1] > 0))
+        campaign = with_turn_sd(campaign, choice)
+        given, readings = readings, campaign.readings
         first = fit_campaign(campaign, choice)
         known = [one.active for one in setup.tables.believed]
         believed, warm = shown_in(known, readings), setup.tables.reference_temperature_C
@@ -173,7 +175,13 @@ def _calibrate(tracker: Path, cell: Path, method: str, phases: Phases, mapping: 
         sealed=sealed,
         sealed_points=None if sealed is None else predict_readings(fit, sealed)[0] + on_top,
         sealed_covariance=None if sealed is None else predictive_covariance(fit, sealed, repeats.joints if repeats else 0.0),
-        notices=(*readings.notices, *left_out_notices(setup.robot), *_effect_notices(known, believed), *_notices(full)),
+        notices=(
+            *readings.notices,
+            *left_out_notices(setup.robot),
+            *_effect_notices(known, believed),
+            *_turn_notice(given, readings),
+            *_notices(full),
+        ),
     )
 
 
@@ -353,6 +361,14 @@ def _effect_notices(known: Sequence[Active], taken: Sequence[Active]) -> list[st
     ]
 
 
+def _turn_notice(given: Readings, used: Readings) -> list[str]:
+    """How sure orientations are taken to be where the file does not say."""
+    if used.sigma_turn is None or given.sigma_turn is not None:
+        return []
+    sd = f"{np.degrees(used.sigma_turn[0]):.2g} deg"
+    return [f"no column sigma_rot_deg: the 6D target's orientation is taken as good to {sd}, as it scatters about the arm"]
+
+
 def _notices(fit: Fit) -> list[str]:
     """What the user should know of the readings."""
     readings, found = fit.campaign.readings, []
@@ -361,8 +377,6 @@ def _notices(fit: Fit) -> list[str]:
         lines = ", ".join(str(readings.line[i]) for i in gross[:8]) + (", .." if len(gross) > 8 else "")
         word = "is an outlier" if len(gross) == 1 else "are outliers"
         found.append(f"{len(gross)} of {len(readings)} readings {word} and hardly counted (line{'s' * (len(gross) > 1)} {lines})")
-    if readings.turn is not None and readings.sigma_turn is None:
-        found.append("no column sigma_rot_deg: the 6D target's orientation is taken as good to 0.01 deg")
     for j in fit.choice.joints:
         column = fit.layout.arm[29 + j]
         if fit.state.arm[29 + j] < -2 * fit.sd[column]:

@@ -13,7 +13,7 @@ from robots.calibration.layout import Choice, Layout, Priors, State, build_layou
 from robots.calibration.noise import Noise
 from robots.calibration.residuals import linearise, residuals
 from robots.calibration.solver import Campaign, Solution, check_open, solve
-from robots.calibration.student_t import gaussian_moments, moments, spread_of, weights
+from robots.calibration.student_t import MEDIAN_OF_THREE, gaussian_moments, moments, spread_of, weights
 from robots.pose import Array, make_transform
 from robots.tracker_readings import Index, Readings
 
@@ -21,6 +21,8 @@ TRIALS, SUBSET = 200, 4  # small sets of readings that are tried to place the tr
 LOCATING = 200  # readings of a nest from a station that place both, to begin with
 ROUGH = 1000  # of a longer campaign, fitted first: they leave little to do for the rest
 TRUST = 20.0  # components of residuals that the noise model is worth
+LOOSE_TURN, LEAST_TURN_SD = np.radians(10.0), np.radians(1e-4)  # above what passes for sound, below any instrument
+MEDIAN_TURN = float(np.sqrt(MEDIAN_OF_THREE))
 LEARNED = (5e-5, 1e-2)  # m or rad, bounds of the learned priors
 PLAIN, WEAK = Choice(), Priors()
 
@@ -131,6 +133,18 @@ def fit_campaign(
             noise = found
             result = solve(campaign, layout, result.state, result.offset, noise)
     return _finished(campaign, choice, priors, layout, start, result, noise)
+
+
+def with_turn_sd(campaign: Campaign, choice: Choice = PLAIN) -> Campaign:
+    """`campaign` with one sigma of its orientations, where the file tells none: as they scatter about an arm that is fitted with
+    hardly any weight on them (MEDIAN_TURN: the length of three components has its median there)."""
+    r = campaign.readings
+    if r.turn is None or r.sigma_turn is not None:
+        return campaign
+    loose = replace(campaign, readings=replace(r, sigma_turn=np.full(len(r), LOOSE_TURN)))
+    off = np.linalg.norm(fit_campaign(loose, choice).residual[r.turned, 3:], axis=1)
+    sd = max(float(np.median(off)) / MEDIAN_TURN, LEAST_TURN_SD)
+    return replace(campaign, readings=replace(r, sigma_turn=np.full(len(r), sd)))
 
 
 def learned_priors(fit: Fit) -> Priors:

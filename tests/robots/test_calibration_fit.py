@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from robots.calibration.fit import fit_campaign, learned_priors, predict_readings
+from robots.calibration.fit import fit_campaign, learned_priors, predict_readings, with_turn_sd
 from robots.calibration.identifiability import identify
 from robots.calibration.layout import Choice, Priors
 from robots.calibration.load_tests import load_pairs, load_test
@@ -174,6 +174,14 @@ def test_six_dimensional_targets_give_the_whole_pose():
     assert fit.residual.shape == (50, 6) and np.abs(fit.residual[:, 3:]).max() < 5e-4
     assert identify(fit).rank == 20  # 30 with a base and a tool of six each (PHYSICS 2.3)
     assert fit.state.turns[0] == pytest.approx(mounted, abs=3e-3)  # but for the turns of the flange that hide in it
+    stated = replace(c, readings=replace(readings, point=points))
+    assert with_turn_sd(stated) is stated
+    for sd in (5e-5, 2e-3):  # what the file does not state is told by the scatter
+        scattered = (
+            Rotation.from_rotvec(rng.normal(size=(50, 3)) * sd).as_matrix() @ truth.T_tracker_base[:3, :3] @ still @ mounted
+        )
+        silent = replace(c, readings=replace(readings, point=points, turn=scattered, sigma_turn=None))
+        assert with_turn_sd(silent).readings.sigma_turn == pytest.approx(sd, rel=0.25)
 
 
 # -- what is seen ----------------------------------------------------------------------------------------------------
