@@ -41,6 +41,7 @@ LEAST_TRAVEL = np.radians(5.0)  # an axis that moved less did not move
 BLOCKS = 10  # of readings left out, that the interval of a gain is told by
 SEALED = "sealed_tracker.csv"
 CLEARLY = 0.8  # of the mean error: a method below it does clearly better
+CAREFUL = 0.4  # the same, of readings drawn blindly, below which they are far too large
 SURE = 1.5  # error over prediction of a kind of fold above which the stated uncertainties are doubted
 KINDS = {
     "random": "readings drawn blindly",
@@ -286,6 +287,11 @@ def doubts_about(c: TrackerCalibration) -> list[str]:
         if error[best].mean() < CLEARLY * after.mean():
             words.append(f"Method '{best}' does better: {1e3 * error[best].mean():.3f} mm on average.")
     found = {kind: figures["over_predicted"] for kind, figures in by_kind(c.held_out).items()}
+    if found.get("random", 1.0) < CAREFUL:
+        words.append(
+            f"Errors left out are {found['random']:.2g} times what it states: many outliers, or a noise stated too large "
+            "(sigma_um, [tracker])."
+        )
     return words + [
         f"Where {KINDS[kind]} is left out, errors are {over:.1f} times what it states."
         for kind, over in found.items()

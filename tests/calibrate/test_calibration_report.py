@@ -255,6 +255,14 @@ def test_an_axis_that_hardly_moved_is_a_doubt(made):
         assert f"{axes} {told}" in doubts_about(replace(made, fit=fit))
 
 
+def test_a_noise_stated_too_large_is_a_doubt(made):
+    """As micrometres that were nanometres make it: nothing is predicted badly then, nothing is known well either."""
+    told = "times what it states: many outliers, or a noise stated too large"
+    for size, doubted in ((1.0, False), (0.2, True)):
+        held = [replace(h, squared=size**2 * h.squared) for h in made.held_out]
+        assert any(told in words for words in doubts_about(replace(made, held_out=held))) == doubted
+
+
 def test_a_calibration_is_weighed_against_the_arm_as_believed(made):
     m, rng = made.methods, np.random.default_rng(0)
 
