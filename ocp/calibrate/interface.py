@@ -23,7 +23,8 @@ from ocp.shell.progress import Phases, Progress
 from robots.calibration.carried import carried_over
 from robots.calibration.parameters import SYMBOLS
 from robots.calibration.store import BENDING, Calibration, write_calibration
-from robots.calibration.validation import GROSS, by_kind
+from robots.calibration.student_t import GROSS
+from robots.calibration.validation import by_kind
 from robots.column_mapping import ColumnMapping, read_column_mapping
 from robots.csv_table import OURS
 from robots.errors import BadInput, Infeasible

@@ -25,7 +25,8 @@ from robots.calibration.reading_model import ARM_NAMES, PAYLOAD_NAMES
 from robots.calibration.residuals import linearise, residuals
 from robots.calibration.solver import Campaign, OpenDirection
 from robots.calibration.store import Calibration
-from robots.calibration.validation import FOLDS, GROSS, LEAST_SWEEP, FoldErrors, by_kind, folds, hold_out, validate
+from robots.calibration.student_t import GROSS
+from robots.calibration.validation import FOLDS, LEAST_SWEEP, FoldErrors, by_kind, folds, hold_out, validate
 from robots.column_mapping import ColumnMapping
 from robots.csv_table import OURS
 from robots.errors import BadInput

@@ -11,8 +11,8 @@ import numpy as np
 from robots.calibration.fit import Fit, fit_campaign
 from robots.calibration.layout import Choice
 from robots.calibration.solver import Campaign
-from robots.calibration.student_t import NU, consistency
-from robots.calibration.validation import GROSS, FoldErrors, ReadingFold, again, folds, hold_out
+from robots.calibration.student_t import GROSS, NU, consistency
+from robots.calibration.validation import FoldErrors, ReadingFold, again, folds, hold_out
 from robots.robot import Robot
 
 LEAST_GAIN = 4.0  # of log density over all held-out readings; below it a term is not worth its name

@@ -13,7 +13,7 @@ from robots.calibration.layout import Choice, Layout, Priors, State, build_layou
 from robots.calibration.noise import Noise
 from robots.calibration.residuals import linearise, residuals
 from robots.calibration.solver import Campaign, Solution, check_open, solve
-from robots.calibration.student_t import MEDIAN_OF_THREE, gaussian_moments, moments, spread_of, weights
+from robots.calibration.student_t import GROSS, MEDIAN_OF_THREE, gaussian_moments, moments, spread_of, weights
 from robots.pose import Array, make_transform
 from robots.tracker_readings import Index, Readings
 
@@ -205,12 +205,16 @@ def _finished(
     whitened = ((solution.W @ solution.linear.J) * layout.scale / solution.spread).reshape(-1, p)
     gained = whitened.T @ whitened
     used = float(np.trace(np.linalg.solve(gained + np.diag(precision + 1e-12), gained)))
-    left = max(n * k - used, 0.0)
-    freedom = max(left / (n * k), 0.05)
-    # Few readings say little of their own scatter: there the noise model speaks, worth TRUST readings' components.
-    spread = float(np.sqrt((TRUST + left * spread_of(solution.squared, k, freedom) ** 2) / (TRUST + left)))
-    m2 = solution.squared / spread**2
-    weight = weights(m2, k)
+    sound = np.ones(n, bool)
+    for _ in range(2):  # what is gross says nothing of how the others scatter
+        count = int(sound.sum())
+        left = max(count * k - used, 0.0)
+        freedom = max(left / (count * k), 0.05)
+        # Few readings say little of their own scatter: there the noise model speaks, worth TRUST readings' components.
+        spread = float(np.sqrt((TRUST + left * spread_of(solution.squared[sound], k, freedom) ** 2) / (TRUST + left)))
+        m2 = solution.squared / spread**2
+        weight = weights(m2, k)
+        sound = weight > GROSS * weights(np.zeros(1), k)
     # psi = w z; its mean square and mean slope correct the covariance of weighted least squares, and the slope's own
     # scatter makes up for unknowns that are not few against the readings (Huber 1981, eq. 7.6.5).
     power, slope, scatter = moments(m2, k)

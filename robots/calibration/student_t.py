@@ -12,6 +12,9 @@ from scipy.special import gammaincinv  # chi-square by hand: scipy.stats takes h
 from robots.pose import Array
 
 NU = 8.0  # heavy tails, at 2 % of the efficiency on Gaussian errors
+# Weight in the full fit (Student's t, one at no distance: some 11 sigma) below which a reading is an outlier and is not held
+# against a model. A diagnosis has weights of another scale, probabilities, and another number.
+GROSS = 0.05
 MEDIAN_OF_THREE = 2.366  # of chi-square with three degrees of freedom, for scales from medians
 
 

@@ -11,7 +11,7 @@ from robots.calibration.fit import Fit, fit_campaign, predict_readings
 from robots.calibration.noise import reading_covariance
 from robots.calibration.residuals import linearise
 from robots.calibration.solver import Campaign, OpenDirection
-from robots.calibration.student_t import NU, consistency
+from robots.calibration.student_t import GROSS, NU, consistency
 from robots.pose import Array
 from robots.tracker_readings import Index, Readings
 
@@ -21,9 +21,6 @@ FOLDS = 5
 LEAST_TRAIN, LEAST_TEST = 15, 3  # readings on each side of a fold
 LEAST_SWEEP = np.radians(20.0)  # of an axis, whose upper half is left out: less tells nothing of how far it carries
 LEAST_PLACED = 4  # postures that place a station or nest
-# Weight in the full fit (Student's t, one at no distance: some 11 sigma) below which a reading is an outlier and is not held
-# against a model. A diagnosis has weights of another scale, probabilities, and another number.
-GROSS = 0.05
 
 
 @dataclass(frozen=True)

@@ -135,6 +135,16 @@ def test_gross_outliers_hardly_move_the_parameters():
     assert np.sqrt(np.mean(np.square(moves))) < 0.5
 
 
+def test_a_fifth_of_gross_readings_does_not_blur_the_rest():
+    truth, c, rng = campaign(33, 60)
+    point = c.readings.point.copy()
+    point[::5] += rng.normal(size=(12, 3)) * 0.3
+    fit = fit_campaign(replace(c, readings=replace(c.readings, point=point)), priors=PRIORS)
+    assert fit.spread < 1.3
+    error, covariance = held_out_error(fit, truth, rng)
+    assert 0.4 < np.sqrt(np.mean(error**2 / np.diagonal(covariance, axis1=1, axis2=2))) < 1.6
+
+
 def test_a_tracker_anywhere_and_two_stations_are_found():
     _, c, _ = campaign(5, 80)
     other = np.eye(4)

@@ -10,8 +10,7 @@ from ocp.calibrate.tracker import TrackerCalibration
 from robots.calibration.fit import predict_readings
 from robots.calibration.noise import reading_covariance, whitener
 from robots.calibration.residuals import linearise, residuals
-from robots.calibration.student_t import NU, consistency
-from robots.calibration.validation import GROSS
+from robots.calibration.student_t import GROSS, NU, consistency
 from robots.pose import Array
 from robots.tracker_readings import Readings
 

@@ -41,7 +41,7 @@ from robots.calibration.layout import (
 from robots.calibration.noise import JOINT_NOISE, Noise, Repeats, joint_noise, reading_covariance, repeat_scatter, whitener
 from robots.calibration.residuals import Linearised, linearise, points
 from robots.calibration.solver import Campaign
-from robots.calibration.validation import GROSS
+from robots.calibration.student_t import GROSS
 from robots.gauss_newton import Rule, minimise
 from robots.gravity import weight_torques
 from robots.pose import Array
