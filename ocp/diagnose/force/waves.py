@@ -97,6 +97,8 @@ def _knocks(numbers: Array, gain: Array, half: float, along: Array, touching: Ar
     """The period of many tones that gains most, where that is more than chance; a tone beyond `half` the logging rate is read at
     its image. numbers, gain (k,): of single waves; along (n,): what is even of the log's time."""
     rates = np.arange(RATES[0], half, (numbers[1] - numbers[0]) / KNOCKING)
+    if not len(rates):  # so slow a log shows none
+        return
     tones = np.outer(np.arange(1, KNOCKING + 1), rates)
     image = np.abs(tones - 2 * half * np.round(tones / (2 * half)))
     inside = (image >= numbers[0]) & (image <= numbers[-1])
