@@ -475,6 +475,17 @@ def test_doubts():
     assert NESTS
 
 
+def test_a_posture_is_left_out_with_all_of_its_readings():
+    """Read from both sides: what the arm lacks there is alike in both, and none of them may tell of the other."""
+    readings, _ = world(4)
+    both = readings.take(np.repeat(np.arange(len(readings)), 2))
+    both = replace(both, approach=both.approach * np.tile([1, -1], len(readings))[:, None])
+    assert len(np.unique(both.repeats())) == 2 * len(readings)
+    for fold in tracker_folds(both):
+        if fold.kind == "random":
+            assert (fold.held[::2] == fold.held[1::2]).all()
+
+
 def test_a_stand_that_is_left_out_is_placed_by_its_own_readings():
     readings, _ = world(4, PLANTED["gear_2x:3"])
     n = len(readings)

@@ -29,10 +29,10 @@ OWN_STAND = ("session", "station")  # folds whose readings may stand by themselv
 
 
 def tracker_folds(readings: Readings) -> list[Fold]:
-    """Random and regional parts (repeats stay together), then payloads, sessions, warm and late readings, halves of joints'
+    """Random and regional parts (a posture stays together), then payloads, sessions, warm and late readings, halves of joints'
     ranges, approach from one side."""
     r = readings
-    group = r.repeats()
+    group = r.postures()
     part = np.random.default_rng(0).permutation(np.arange(group.max() + 1) % PARTS)[group]
     found = [Fold(f"random={k + 1}", "random", part == k) for k in range(PARTS)]
     _, label = kmeans2(r.q[:, :3], PARTS, seed=0, minit="++")
