@@ -11,16 +11,15 @@ from pathlib import Path
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
-
-from diagnosis_force_world import HEADER, Base, Pass, Planted, believed_world, log_of, moved_joints, record
-from force_world import arm_posterior, write_log
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from ocp.calibrate.force.log import read_force_log
 from ocp.diagnose.force.channel import ForceChannel, force_channel
 from ocp.diagnose.force.fit import fit_effects
 from ocp.diagnose.verdict.diagnosis import diagnose_channels
 from ocp.effects.catalogue import library
+from tests.support.diagnosis_force_world import HEADER, Base, Pass, Planted, believed_world, log_of, moved_joints, record
+from tests.support.force_world import arm_posterior, write_log
 
 PLAN = (
     Pass(0),

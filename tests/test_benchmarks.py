@@ -1,4 +1,4 @@
-"""The tables that stand side by side with other programs start, whether those are installed or not."""
+"""Every benchmark finds what it imports; tables side by side with other programs start, whether those are installed or not."""
 
 import json
 import os
@@ -45,3 +45,10 @@ def test_there_are_tables():
 def test_a_table_starts(told, script):
     code, words = told[str(script)]
     assert code == 0 and "usage" in words, code
+
+
+def test_every_other_benchmark_finds_what_it_imports():
+    names = [path.stem for path in sorted((ROOT / "benchmarks").glob("*.py")) if "peer" not in path.stem]
+    code = "import importlib, sys\nfor name in sys.argv[1:]: importlib.import_module(f'benchmarks.{name}')"
+    done = subprocess.run([sys.executable, "-c", code, *names], cwd=ROOT, capture_output=True, text=True)
+    assert len(names) > 30 and done.returncode == 0, done.stderr
