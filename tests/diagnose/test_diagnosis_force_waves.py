@@ -170,6 +170,15 @@ def test_a_saw_along_the_path_is_one_unknown_with_its_overtones(made: Made, tmp_
     assert fitted / fitted[0] == pytest.approx([1.0, 0.5, 1 / 3], abs=0.12)
 
 
+def test_a_log_too_slow_for_knocks_has_waves_all_the_same(made: Made):  # noqa: F811
+    """Half its logging rate lies below the slowest belt."""
+    log = made.channel.log
+    step = float(np.median(np.diff(log.time)[np.diff(log.run) == 0]))
+    problem = _part(made.channel.problem, np.arange(0, len(log), round(0.125 / step)))
+    waves = telling_waves(problem, fit_effects(problem))
+    assert "time wave" in {w.where for w in waves} and "time knocks" not in {w.where for w in waves}
+
+
 def test_recordings_of_a_few_rows_have_no_period(made: Made):  # noqa: F811
     channel = made.channel
     few = np.flatnonzero(made.channel.log.contact)[:9]
