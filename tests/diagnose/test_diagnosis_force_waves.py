@@ -18,7 +18,7 @@ from ocp.diagnose.engine.search import Diverged, search_and_refit
 from ocp.diagnose.force import fit as fitting
 from ocp.diagnose.force.channel import ForceChannel
 from ocp.diagnose.force.fit import fit_effects, linear
-from ocp.diagnose.force.waves import _gains, _scores, likely_trains, picked_squares, telling_waves
+from ocp.diagnose.force.waves import FINE, _gains, _knocks, _scores, likely_trains, picked_squares, telling_waves
 from ocp.diagnose.rules import HOPELESS_FITS, OVERTONES, TRAINS_OFFERED
 from ocp.diagnose.verdict import diagnosis
 from ocp.diagnose.verdict.diagnosis import diagnose_channels, findings
@@ -168,6 +168,15 @@ def test_a_saw_along_the_path_is_one_unknown_with_its_overtones(made: Made, tmp_
     assert orders == pytest.approx([1, 1, 2, 2, 3, 3], rel=0.02)
     fitted = channel.with_active((patch,)).active[0].a[1::2]  # sines of a saw: -2 / (pi k) each
     assert fitted / fitted[0] == pytest.approx([1.0, 0.5, 1 / 3], abs=0.12)
+
+
+@pytest.mark.parametrize("share", [1 / 3, 1 / 4, 2 / 5, 3 / 7])
+def test_a_tone_at_a_share_of_the_logging_rate_is_no_knock(share):
+    """Many of the tones of such a rate have one image: they say once what they say."""
+    time, half = 0.01 * np.arange(1500), 50.0
+    numbers = np.arange(0.1, 0.8 * half, 1.0 / (FINE * time[-1]))
+    gain = np.where(np.abs(numbers - 2 * half * share) < 1.0 / time[-1], 12.0, 2.0)  # the largest of noise alone
+    assert not list(_knocks(numbers, gain, half, time, np.ones(len(time))))
 
 
 def test_a_log_too_slow_for_knocks_has_waves_all_the_same(made: Made):  # noqa: F811

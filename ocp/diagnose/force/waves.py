@@ -101,7 +101,10 @@ def _knocks(numbers: Array, gain: Array, half: float, along: Array, touching: Ar
         return
     tones = np.outer(np.arange(1, KNOCKING + 1), rates)
     image = np.abs(tones - 2 * half * np.round(tones / (2 * half)))
-    inside = (image >= numbers[0]) & (image <= numbers[-1])
+    order = np.argsort(image, axis=0)
+    tones, image = np.take_along_axis(tones, order, 0), np.take_along_axis(image, order, 0)
+    apart = np.diff(image, axis=0, prepend=-np.inf) > FINE * (numbers[1] - numbers[0])  # tones of one image are one
+    inside = apart & (image >= numbers[0]) & (image <= numbers[-1])
     gained = np.sum(np.where(inside, np.interp(image, numbers, gain), 0.0), axis=0)
     best = int(np.argmax(gained))
     if len(rates) * chdtrc(2 * inside[:, best].sum(), gained[best]) < PLACE_SURE:
