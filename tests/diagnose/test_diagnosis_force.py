@@ -3,6 +3,7 @@
 import pickle
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import casadi as ca
 import numpy as np
@@ -28,11 +29,13 @@ from ocp.diagnose.force.prediction import (
     predict_forces,
 )
 from ocp.diagnose.force.prior import contact_prior, with_setpoints_read_off
+from ocp.diagnose.foresee.anticipated import signal_gap
 from ocp.diagnose.foresee.patched import beside_unknown, patched, unnamed, with_patch
+from ocp.diagnose.report.verdict_sentence import _promise
 from ocp.diagnose.verdict.answer import Patched
 from ocp.diagnose.verdict.diagnosis import diagnose_channels
 from ocp.diagnose.verdict.patching import as_patch
-from ocp.diagnose.verdict.shrinkage import Shrinkage
+from ocp.diagnose.verdict.shrinkage import ANOTHER_DAY, Shrinkage
 from ocp.effects.catalogue import library
 from ocp.effects.cell_effects import effect_of
 from ocp.effects.effect import Active, Effect
@@ -126,6 +129,19 @@ def test_a_report_is_handed_little_of_a_channel(made):
     shown = _shown(made.channel)
     assert np.array_equal(shown.gap(), made.channel.gap()) and shown.noise_floor == made.channel.noise_floor
     assert len(pickle.dumps(shown)) < 0.05 * len(pickle.dumps(made.channel))
+
+
+def test_a_page_that_another_process_draws_tells_what_is_not_corrected(made):
+    """It has no more of the channel than the report shows."""
+    bias = _active("sensor_bias")
+    after = made.channel.with_active((bias,))
+    found = SimpleNamespace(active=(bias,), held_out={}, alternatives=(), left_over=(), p_beside=0.0)
+    gap = replace(
+        signal_gap(found, made.channel, after), shrinkage=(told := Shrinkage(0.6, 0.4, 0.7)), promise={ANOTHER_DAY: told}
+    )
+    gap = replace(gap, baseline=_shown(gap.baseline), corrected=_shown(gap.corrected))
+    for written, words in (((), "would be gone if that were corrected"), ((bias,), "should be gone")):
+        assert words in _promise(SimpleNamespace(gaps=(gap,), written=written))
 
 
 def test_a_log_is_blind_to_what_moves_neither_arm_nor_contact_and_to_warmth_it_did_not_record(made):

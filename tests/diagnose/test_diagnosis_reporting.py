@@ -142,10 +142,9 @@ def test_what_is_named_and_not_corrected_is_told_with_its_reason():
 
 def test_a_promise_of_what_is_not_written_says_so():
     play, wear = (SimpleNamespace(key=key, effect=None, joint=key[1], scanned={}) for key in (("backlash", 3), ("wheel_wear", 0)))
-    shown = SimpleNamespace(active=(play,), variants=lambda effect, joint, scans=None: ((1,), None))
     told = Shrinkage(0.6, 0.4, 0.7)
     figures = {"name": "tracker", "unit": "mm", "noise_floor": 0.02, "before": np.ones(3), "after": np.ones(3)}
-    gap = SimpleNamespace(**figures, corrected=shown, shrinkage=told, promise={ANOTHER_DAY: told}, there="there")
+    gap = SimpleNamespace(**figures, shown=(play.key,), shrinkage=told, promise={ANOTHER_DAY: told}, there="there")
     found = SimpleNamespace(active=(play, wear), p_unknown=0.0)
 
     def words(*written):

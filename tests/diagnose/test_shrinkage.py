@@ -360,9 +360,9 @@ def test_what_else_may_be_true_is_in_the_sigma_of_what_is_written():
 
 def gap_of(low: float | None, shows: tuple[str, ...], **kinds: Shrinkage) -> SignalGap:
     """A gap with this low end of its promise, and of that for some kinds of new data; its signal shows some effects."""
-    corrected = SimpleNamespace(variants=lambda effect, joint, scans: (scans if effect.name in shows else (), None))
     promise = None if low is None else Shrinkage(low + 0.3, low, low + 0.6)
-    return SignalGap("x", "mm", 1.0, np.ones(3), np.ones(3), promise, kinds, (), Remaining(0.0, 1.0), corrected, corrected)
+    made = SignalGap("x", "mm", 1.0, np.ones(3), np.ones(3), promise, kinds, (), Remaining(0.0, 1.0), None, None)
+    return replace(made, shown=tuple((name, 0) for name in shows))
 
 
 def test_only_what_is_promised_above_zero_is_written():

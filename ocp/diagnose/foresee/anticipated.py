@@ -53,13 +53,14 @@ def signal_gap(diagnosis: Diagnosis, before: Channel, after: Channel, sealed: An
     told = tuple(
         (h.fold.name, realised(h.before, h.after, h.noise) if diagnosis.active else None) for h in held if h.fold.extrapolates
     )
-    shrinkage, asked = _shrinkage(diagnosis, before, after, held, float(np.mean(sizes[0] ** 2)), sealed)
+    shown = tuple(a.key for a in diagnosis.active if shows(after, a))
+    shrinkage, asked = _shrinkage(diagnosis, before, after, held, float(np.mean(sizes[0] ** 2)), sealed, bool(shown))
     promise = {} if shrinkage in (None, NONE) else _by_kind(after, held, shrinkage)
     left = remaining(after, diagnosis.left_over)
     left = Remaining(scale * left.above_noise, left.p_value)
     figures = before.name, before.unit, after.noise_floor, sizes[0], sizes[1]
     beyond = _beyond_measured(after, sealed) if asked else ()
-    return SignalGap(*figures, shrinkage, promise, told, left, before, after, asked, beyond)
+    return SignalGap(*figures, shrinkage, promise, told, left, before, after, asked, beyond, shown)
 
 
 def _beyond_measured(channel: Channel, sealed: Any) -> tuple[str, ...]:
@@ -75,11 +76,11 @@ def _beyond_measured(channel: Channel, sealed: Any) -> tuple[str, ...]:
 
 
 def _shrinkage(
-    diagnosis: Diagnosis, before: Channel, after: Channel, held: Sequence[HeldOut], square: float, sealed: Any
+    diagnosis: Diagnosis, before: Channel, after: Channel, held: Sequence[HeldOut], square: float, sealed: Any, shown: bool
 ) -> tuple[Shrinkage | None, bool]:
-    """What to expect, and whether under the conditions `sealed`; square: mean square of the gap before in the channel's unit."""
-    if not any(shows(after, a) for a in diagnosis.active):
-        # Nothing is named that this signal shows, so nothing changes.
+    """What to expect, and whether under the conditions `sealed`; square: mean square of the gap before in the channel's unit;
+    shown: whether anything is named that this signal shows, else nothing changes."""
+    if not shown:
         return (NONE if realised(square, 0.0, after.noise_floor**2) is not None else None), False
     of_arm = isinstance(after, TrackerChannel)
     if before.name == "force" or (isinstance(after, TrackerChannel) and not after.restless(1.0)):

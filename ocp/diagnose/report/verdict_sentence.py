@@ -6,7 +6,6 @@ With it effects, conditions and figures as a person says them.
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from ocp.diagnose.engine.channel_system import shows
 from ocp.diagnose.engine.findings import Diagnosis, Location, Name
 from ocp.diagnose.rules import LEADS
 from ocp.diagnose.verdict.answer import Answer, Patched, SignalGap, figures, there_of
@@ -252,8 +251,7 @@ def _promise(answer: Answer) -> str:
 def _gone(answer: Answer, gap: SignalGap) -> str:
     """That it 'should be gone', or would be if what it is promised of were corrected, which it is not."""
     held = {a.key for a in answer.written}
-    kept = any(a.key not in held and shows(gap.corrected, a) for a in gap.corrected.active)
-    return "would be gone if that were corrected," if kept else "should be gone"
+    return "would be gone if that were corrected," if {*gap.shown} - held else "should be gone"
 
 
 def shrinkage_words(s: Shrinkage) -> str:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from ocp.diagnose.dataset import DataSet
-from ocp.diagnose.engine.channel_system import Channel, shows
+from ocp.diagnose.engine.channel_system import Channel
 from ocp.diagnose.engine.findings import Alternative, Diagnosis, Experiment
 from ocp.diagnose.verdict.patching import is_patch
 from ocp.diagnose.verdict.remaining import Remaining
@@ -27,7 +27,8 @@ class SignalGap:
     floor; shrinkage to expect, promise by what is new in them, and by what was withheld (None: no gap there to
     speak of); remaining: rms in `unit` above the instrument's noise after the effects, and the probability that noise alone
     leaves as much; asked: whether the shrinkage is that under the conditions that are to be predicted; beyond: kinds of
-    condition in which most of these lie outside of what was measured."""
+    condition in which most of these lie outside of what was measured; shown: keys of the named effects
+    that the signal shows."""
 
     name: str
     unit: str
@@ -42,6 +43,7 @@ class SignalGap:
     corrected: Channel
     asked: bool = False
     beyond: tuple[str, ...] = ()
+    shown: tuple[tuple[str, int], ...] = ()
 
     @property
     def there(self) -> str:
@@ -125,8 +127,7 @@ def promised(diagnosis: Diagnosis, gaps: Sequence[SignalGap]) -> tuple[Active, .
     one signal at least does."""
     found = []
     for one in diagnosis.active:
-        shown = [g for g in gaps if shows(g.corrected, one)]
-        told = [g.helps for g in shown if g.shrinkage is not None]
+        told = [g.helps for g in gaps if one.key in g.shown and g.shrinkage is not None]
         if told and all(told):
             found.append(one)
     return tuple(found)
