@@ -395,8 +395,12 @@ def test_conditions_are_later_or_warmer_where_most_of_them_are():
     assert kinds(later, warm) == ("later", "another temperature") and kinds(None, None) == ()
     assert kinds(later - 80.0, warm - 10.0) == ("another temperature",)
     assert kinds(later - 400.0, warm - 3.0) == ()  # before the campaign is not after it
-    log = SimpleNamespace(clock=known.time, temperature=None, time=np.zeros(9))
-    assert _beyond_measured(SimpleNamespace(log=log), SimpleNamespace(clock=later, temperature=warm)) == ("later",)
+    # A log's folds are of the wheel's temperature.
+    log = SimpleNamespace(clock=known.time, time=np.zeros(9), temperature=known.temperature, wheel_temperature=known.temperature)
+    asked = SimpleNamespace(clock=later, temperature=warm, wheel_temperature=warm - 4.0)
+    assert _beyond_measured(SimpleNamespace(log=log), asked) == ("later",)
+    asked = SimpleNamespace(clock=None, temperature=None, wheel_temperature=warm)
+    assert _beyond_measured(SimpleNamespace(log=log), asked) == ("another temperature",)
 
 
 def test_a_condition_that_the_believed_cell_hardly_knows_says_no_harm():

@@ -64,10 +64,11 @@ def signal_gap(diagnosis: Diagnosis, before: Channel, after: Channel, sealed: An
 
 
 def _beyond_measured(channel: Channel, sealed: Any) -> tuple[str, ...]:
-    """Kinds of new data, as folds are called, of which most of the conditions `sealed` are: later, or warmer or colder."""
+    """Kinds of new data, as folds are called, of which most of the conditions `sealed` are: later, or warmer or colder.
+    A log's folds are of the wheel's temperature."""
     known = getattr(channel, "log", getattr(channel, "readings", None))
-    found = []
-    for kind, column in (("later", "clock" if hasattr(known, "clock") else "time"), ("another temperature", "temperature")):
+    columns, found = ("clock", "wheel_temperature") if hasattr(known, "clock") else ("time", "temperature"), list[str]()
+    for kind, column in zip(("later", "another temperature"), columns, strict=True):
         was, asked = getattr(known, column, None), getattr(sealed, column, None)
         if was is not None and asked is not None:
             middle = float(np.nanmedian(asked))
