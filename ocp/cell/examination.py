@@ -19,7 +19,7 @@ from ocp.model.prepare import wheel_cover, wheel_law
 from ocp.plan.clearance import CollisionScene
 from ocp.plan.passes.posture import Seed, seeds_of_stretches
 from ocp.plan.passes.stretches import LEAST_GROUND_SHARE, NO_ROOM, LeftOut, LineStretch, ground_share, joined, whole_lines
-from ocp.plan.paths import LaidPaths, PlanOptions, lay_paths
+from ocp.plan.paths import LaidPaths, PlanOptions, lay_paths, refuse_flange
 from ocp.shell.progress import Phases
 from robots.errors import BadInput, Infeasible
 from robots.payload import overload
@@ -137,6 +137,7 @@ def _grindable(cell: Cell, phases: Phases) -> Grindable:
     assert cell.workpiece.stl is not None
     with phases.phase("lines"):
         laid = lay_paths(cell, cell.workpiece.stl, PlanOptions(even=False, step=STEP))
+        refuse_flange(cell, laid.paths)
     with phases.phase("wheel"):
         law = wheel_law(cell, wheel_cover(cell), laid.paths)
     with phases.phase("postures"):

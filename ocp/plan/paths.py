@@ -81,11 +81,24 @@ class LaidPaths:
 def lay_paths(cell: Cell, stl: Path, options: PlanOptions) -> LaidPaths:
     """Read the blade, find its aerofoil and lay the passes the cell asks for.
 
-    Raises BadInput: the STL, the clamp, the margins or the path handed in cannot be used, or the flange stands across it.
+    Raises BadInput: the STL, the clamp, the margins or the path handed in cannot be used.
     """
-    laid = _laid(cell, stl, options)
-    refuse_flange(cell, laid.paths)
-    return laid
+    blade = read_blade(stl, cell.workpiece.stl_unit)
+    shape = find_shape(blade, cell.workpiece.aerofoil)
+    cloud = surface_cloud(shape, blade)
+    if options.path is None and options.program is None:
+        return _laid_lines(cell, blade, shape, cloud, options)
+    if options.path is not None:
+        paths, notices = read_path_file(options.path, blade, shape, cell.process.feed, cell.process.force)
+    else:
+        assert options.program is not None
+        paths, notices = paths_from_program(cell, blade, shape, cloud, options.program, options.step)
+    flanks = flank_cells(shape, {}, paths, 0.5 * cell.process.pass_spacing)
+    wanted = wanted_of(cell, blade, cloud, options.stock)
+    beyond: list[CannotGrind] = []
+    if options.stock is not None:
+        paths, beyond = with_feeds(cell, wheel_cover(cell), paths, flanks, wanted)
+    return LaidPaths(blade, paths, cloud, flanks, wanted, beyond, (*blade.notices, *shape.notices, *notices))
 
 
 def refuse_flange(cell: Cell, paths: list[BladePath]) -> None:
@@ -113,25 +126,6 @@ def refuse_flange(cell: Cell, paths: list[BladePath]) -> None:
             "the flange gives along its axis alone and would hardly hold a force there; correct the axis (flange frame), or the "
             "blade in its holder"
         )
-
-
-def _laid(cell: Cell, stl: Path, options: PlanOptions) -> LaidPaths:
-    blade = read_blade(stl, cell.workpiece.stl_unit)
-    shape = find_shape(blade, cell.workpiece.aerofoil)
-    cloud = surface_cloud(shape, blade)
-    if options.path is None and options.program is None:
-        return _laid_lines(cell, blade, shape, cloud, options)
-    if options.path is not None:
-        paths, notices = read_path_file(options.path, blade, shape, cell.process.feed, cell.process.force)
-    else:
-        assert options.program is not None
-        paths, notices = paths_from_program(cell, blade, shape, cloud, options.program, options.step)
-    flanks = flank_cells(shape, {}, paths, 0.5 * cell.process.pass_spacing)
-    wanted = wanted_of(cell, blade, cloud, options.stock)
-    beyond: list[CannotGrind] = []
-    if options.stock is not None:
-        paths, beyond = with_feeds(cell, wheel_cover(cell), paths, flanks, wanted)
-    return LaidPaths(blade, paths, cloud, flanks, wanted, beyond, (*blade.notices, *shape.notices, *notices))
 
 
 def _laid_lines(cell: Cell, blade: Blade, shape: AerofoilShape, cloud: SurfaceCloud, options: PlanOptions) -> LaidPaths:

@@ -30,7 +30,7 @@ from ocp.plan.passes.stretches import (
     whole_lines,
     without_places,
 )
-from ocp.plan.paths import LaidPaths, PlanOptions, lay_paths
+from ocp.plan.paths import LaidPaths, PlanOptions, lay_paths, refuse_flange
 from ocp.plan.programming import program_setup
 from ocp.plan.removal.dwell import even_feeds, feeds_told
 from ocp.plan.removal.result import Removal, find_removal
@@ -98,6 +98,7 @@ def make_plan(cell_file: Path, blade_file: Path | None, options: PlanOptions, ph
     assert stl is not None
     with phases.phase("passes"):
         laid = lay_paths(cell, stl, options)
+        refuse_flange(cell, laid.paths)
     weights = objective_weights(cell)
 
     def compiled(law: WheelLaw) -> None:

@@ -6,6 +6,7 @@ import io
 import itertools
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ from ocp.data import CELL
 from ocp.model.cell import read_cell, read_tracker_setup
 from ocp.plan.clearance import CollisionScene
 from ocp.plan.motion import dense
+from ocp.plan.paths import refuse_flange
 from ocp.poses.__main__ import app
 from ocp.poses.candidates import Sight, ground_blade, visible
 from robots.errors import BadInput
@@ -113,6 +115,15 @@ def test_the_table_is_a_tracker_file_without_the_measured_columns(made):
     lines = (poses / "poses.csv").read_text().splitlines()
     filled.write_text("\n".join([lines[0] + ",x_mm,y_mm,z_mm", *(line + ",1,2,3" for line in lines[1:])]) + "\n")
     assert len(read_readings(filled, setup.payloads, setup.instrument)) == 2 * COUNT
+
+
+def test_a_flange_set_for_another_force_keeps_nobody_from_measuring():
+    """It is the plan that is refused for it."""
+    cell = read_cell(CELL)
+    assert cell.flange is not None
+    with pytest.raises(BadInput, match="the force flange, set to 1 N, would stand"):
+        refuse_flange(held := replace(cell, flange=replace(cell.flange, setpoint=1.0, stroke=3e-3)), ground_blade(cell).paths)
+    assert len(ground_blade(held).paths) == len(ground_blade(cell).paths)
 
 
 def test_every_reading_is_reachable_free_and_seen(made):
