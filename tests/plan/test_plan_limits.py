@@ -570,9 +570,14 @@ def test_feeds_that_a_wanted_depth_may_ask_for(cell):
             error = beyond_reach(cell, asked, Wanted())
             assert (error is not None) == named
     assert error is not None and len(error.at) == 5
-    for feed, told in ((0.5 * rules.FEEDS[0], 80.0), (2.0 * rules.FEEDS[1], 20.0)):  # of a process at 40 mm/s
-        off = beyond_reach(cell, replace(path, feed=np.where(np.arange(len(path.s)) < 5, feed, path.feed)), Wanted())
-        assert off is not None and float(off.would_do.split("feed_mm_s to ")[1].split(",")[0]) == pytest.approx(told, rel=0.02)
+    for feed, told in ((0.49975 * rules.FEEDS[0], 80.04), (1.999 * rules.FEEDS[1], 20.01)):  # of a process at 40 mm/s
+        asked = replace(path, feed=np.where(np.arange(len(path.s)) < 5, feed, path.feed))
+        off = beyond_reach(cell, asked, Wanted())
+        assert off is not None
+        kept = float(off.would_do.split("feed_mm_s to ")[1].split(",")[0])
+        assert kept == pytest.approx(told, rel=0.03)
+        again = replace(asked, feed=np.where(np.arange(len(path.s)) < 5, feed * kept / 40.0, path.feed))
+        assert beyond_reach(cell, again, Wanted()) is None  # rounded as it is told
     known = beyond_reach(cell, asked, Wanted(programmed_um=10.0))
     assert known is not None and "ask for more depth" in known.would_do and "feed_mm_s" not in known.would_do
 

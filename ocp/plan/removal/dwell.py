@@ -287,7 +287,7 @@ def beyond_reach(cell: Cell, path: BladePath, wanted: Wanted) -> CannotGrind | N
         f"{depth * (wanted.programmed_um or 1.0):.3g} {unit} are wanted, which takes a feed of {1e3 * path.feed[k]:.3g} mm/s at "
         f"{path.force[k]:g} N, and {1e3 * least:.3g} to {1e3 * most:.3g} can be driven"
     )
-    share = float(path.feed[beyond].min() / least if slow else path.feed[beyond].max() / most)
+    share = float(0.99 * path.feed[beyond].min() / least if slow else 1.01 * path.feed[beyond].max() / most)  # told to 3 digits
     more = "grind it more than once, or with a larger process.force_N" if slow else "leave it as it is"
     if wanted.programmed_um is None:  # the depth is what the process makes at its feed
         remedy = f"set process.feed_mm_s to {1e3 * cell.process.feed / share:.3g}, or {more}"
