@@ -14,7 +14,7 @@ from ocp.diagnose.tracker.held_out import placed_stands, tracker_folds
 from ocp.diagnose.tracker.refit import believed_baseline, linearise_with, placed_readings, points_with, reliability, settled
 from ocp.diagnose.tracker.weights import link_torques, weighed_links
 from ocp.diagnose.verdict import diagnosis
-from ocp.diagnose.verdict.diagnosis import diagnose_channels
+from ocp.diagnose.verdict.diagnosis import _scattering, diagnose_channels
 from ocp.diagnose.verdict.doubts import cancelling, implausible
 from ocp.diagnose.verdict.remaining import remaining
 from ocp.effects.catalogue import library
@@ -257,6 +257,8 @@ def test_a_nest_that_flops_is_no_noise_of_the_joints():
     readings, points = world(27, moved=flopping, n=100)
     found = diagnosed(readings)
     assert found.verdict == "unexplained" and found.unknown_reasons
+    again = _scattering(found)  # as where a force log beside it finds no rest
+    assert (again.unknown_reasons, again.p_unknown, again.location) == (found.unknown_reasons, found.p_unknown, found.location)
     for place in (found.location, found.remainder):
         assert (place.subsystem, place.depends_on, place.segments) == ("target", ("target",), (readings.targets[2],))
     after = found.channels[0]

@@ -78,7 +78,7 @@ def _without(
 def _scattering(found: Diagnosis, *reasons: str) -> Diagnosis:
     """Findings that take no scatter for noise which no such machine has: what a fit learns of its noise holds whatever is not
     modelled, so that rows of two campaigns under each other would be no gap, nor a log that jumps to and fro, nor a nest that
-    flops. reasons: others for which something is outside the catalogue."""
+    flops; told once, though a channel beside it was left out. reasons: others for which something is outside the catalogue."""
     wild = [f"{c.name}: readings scatter {c.scatters}" for c in found.channels if isinstance(c, Scattering) and c.scatters]
     whys = [*reasons, *(f"{why}, and with nothing that was recorded" for why in wild[:1])]
     at = next(((c.name, c.uneven) for c in found.channels if isinstance(c, TrackerChannel) and c.uneven is not None), None)
@@ -87,7 +87,7 @@ def _scattering(found: Diagnosis, *reasons: str) -> Diagnosis:
         return found
     told = found.p_unknown > rules.LEADS
     unknown = found.p_unknown if told else 1.0 - (1.0 - found.p_unknown) * (1.0 - rules.SUSPECT)
-    found = replace(found, p_unknown=unknown, unknown_reasons=(*found.unknown_reasons, *whys))
+    found = replace(found, p_unknown=unknown, unknown_reasons=tuple(dict.fromkeys((*found.unknown_reasons, *whys))))
     return found if at is None else _placed(found, of_group(*at), told)
 
 
