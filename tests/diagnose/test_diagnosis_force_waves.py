@@ -205,6 +205,8 @@ def test_a_tone_that_a_period_holds_is_picked_once(made: Made):  # noqa: F811
         more = 2.0 * np.log(200) - 2.0 if alone else 0.0
         assert picked_squares([wave, period]) == pytest.approx(picked_squares([period]) + more)
         assert picked_squares([replace(wave, where="time wave"), period]) > picked_squares([period]) + 1.0
+        knocks, held = replace(period, where="time knocks"), replace(period, where="time period", columns=tones[:, :4])
+        assert picked_squares([replace(wave, where="time wave"), held, knocks]) == pytest.approx(picked_squares([knocks]) + more)
 
 
 def test_what_presses_shows_in_both_readings_and_not_in_the_air(made: Made, tmp_path):  # noqa: F811

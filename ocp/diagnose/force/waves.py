@@ -153,8 +153,9 @@ def picked_squares(waves: Iterable[Wave]) -> float:
 
 
 def _holds(period: Wave, wave: Wave) -> bool:
-    """Whether a wave is one of a period's tones, whose rows it shares."""
-    if period.where != wave.where.replace("wave", "period") or period is wave:
+    """Whether what a period (or knocks) holds of tones has a wave in it, or a period of fewer, which so shares its rows."""
+    one, other = (w.where.replace("period", "wave").replace("knocks", "wave") for w in (period, wave))
+    if one != other or period.columns.shape[1] <= wave.columns.shape[1]:
         return False
     Q = np.linalg.qr(period.columns)[0]
     return bool(np.sum((Q.T @ wave.columns) ** 2) > 0.5 * np.sum(wave.columns**2))
