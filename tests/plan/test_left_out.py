@@ -72,15 +72,15 @@ def test_the_sentence_names_line_waypoint_reason_and_remedy_and_survives_another
 
 def test_a_path_run_backwards_is_cut_at_the_same_place_of_the_line():
     path = line()
-    back = error(reversed_path(path), 3).turned_round()
-    assert np.flatnonzero(back.nodes(path.s)).tolist() == [N - 1 - 3]
+    for tried, k in ((reversed_path(path), 3), (lengthened(reversed_path(path), 0.006, 0.010), 3 + 3)):  # led in to and out of
+        back = error(tried, k).turned_round(float(path.s[-1]))
+        assert np.flatnonzero(back.nodes(path.s)).tolist() == [N - 1 - 3]
 
 
 def test_what_lies_beyond_the_ends_of_a_line_counts_for_its_ends():
     """A way from air to air has arc lengths before the line's start and behind its end."""
     path = line()
-    told = {"length": float(path.s[-1]), "at": np.array([-0.01, 0.09])}
-    assert np.flatnonzero(CannotGrind("", **told).nodes(path.s)).tolist() == [0, N - 1]
+    assert np.flatnonzero(CannotGrind("", at=np.array([-0.01, 0.09])).nodes(path.s)).tolist() == [0, N - 1]
 
 
 # -- cutting -------------------------------------------------------------------------------------------------------

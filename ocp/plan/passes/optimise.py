@@ -195,7 +195,7 @@ class PassWorker:
                     return one
                 except Infeasible as error:
                     turned = isinstance(error, CannotGrind) and seed.direction < 0
-                    reasons.append(error.turned_round() if isinstance(error, CannotGrind) and turned else error)
+                    reasons.append(error.turned_round(float(path.s[-1])) if isinstance(error, CannotGrind) and turned else error)
                     if not led and not isinstance(error, TouchesElsewhere):
                         break
             line = None

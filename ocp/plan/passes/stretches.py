@@ -23,9 +23,9 @@ HALVINGS = 3  # where the place is not known; an eighth of a line is then given 
 class CannotGrind(Infeasible):
     """A pass that cannot be ground as it is: where along it, why, and what would help.
 
-    line, side, start: whose, and where on the line it begins, m; length m of the path that was tried, at (m,): arc lengths m on
-    it, in its direction of travel, that cannot be ground (none: the place is not known); waypoint: 0-based, the one that the
-    sentence names; reason and would_do: two parts of a sentence; others: of other passes, told with this one.
+    line, side, start: whose, and where on the line it begins, m; at (m,): arc lengths m on the path that was tried, in its
+    direction of travel, that cannot be ground (none: the place is not known); waypoint: 0-based, the one that the sentence
+    names; reason and would_do: two parts of a sentence; others: of other passes, told with this one.
     """
 
     def __init__(self, message: str, **told: Any) -> None:
@@ -34,7 +34,6 @@ class CannotGrind(Infeasible):
         self.line: int = told.get("line", 0)
         self.side: str = told.get("side", "")
         self.start: float = told.get("start", 0.0)
-        self.length: float = told.get("length", 0.0)
         self.at: Array = told.get("at", np.zeros(0))
         self.waypoint: int = told.get("waypoint", 0)
         self.reason: str = told.get("reason", message)
@@ -50,7 +49,7 @@ class CannotGrind(Infeasible):
         k = int(np.argmax(where)) if worst is None else worst
         named = f", waypoint {k + 1}" if where.any() else ""  # of the path in its direction of travel
         message = message or f"line {path.line} ({path.side}){named}: {reason}; {would_do}"
-        told = {"reason": reason, "would_do": would_do, "waypoint": k, "at": path.s[where], "length": float(path.s[-1])}
+        told = {"reason": reason, "would_do": would_do, "waypoint": k, "at": path.s[where]}
         return CannotGrind(message, line=path.line, side=path.side, start=path.start, **told)
 
     def with_others(self, others: "list[CannotGrind]") -> "CannotGrind":
@@ -62,10 +61,9 @@ class CannotGrind(Infeasible):
         """Line, and where on it the pass begins."""
         return self.line, self.start
 
-    def turned_round(self) -> "CannotGrind":
-        """The same of the path run from its other end."""
-        told = dict(self.__dict__) | {"at": self.length - self.at}
-        return CannotGrind(str(self), **told)
+    def turned_round(self, length: float) -> "CannotGrind":
+        """The same of a line of `length` m run from its other end, whatever leads in to it and out of it."""
+        return CannotGrind(str(self), **(self.__dict__ | {"at": length - self.at}))
 
     def nodes(self, s: Array) -> Mask:
         """Which of the waypoints at arc lengths s (n,) m of the path these are; those beyond its ends count for the ends."""
