@@ -16,7 +16,7 @@ from ocp.diagnose.tracker.weights import link_torques, weighed_links
 from ocp.diagnose.verdict import diagnosis
 from ocp.diagnose.verdict.diagnosis import _scattering, diagnose_channels
 from ocp.diagnose.verdict.doubts import cancelling, implausible
-from ocp.diagnose.verdict.remaining import remaining
+from ocp.diagnose.verdict.remaining import Remaining, remaining
 from ocp.effects.catalogue import library
 from ocp.effects.effect import Active
 from ocp.effects.engine.evaluate import arm_shift
@@ -268,6 +268,12 @@ def test_a_nest_that_flops_is_no_noise_of_the_joints():
     sealed = after.predict(readings, ())
     off = np.abs(sealed.baseline - points(readings))[readings.target == 2]
     assert off.max() < 3.0 * sealed.sigma[readings.target == 2].max()
+
+
+def test_a_scatter_that_is_even_was_looked_at_all_the_same(monkeypatch):
+    monkeypatch.setattr(f"{remaining.__module__}._of_tracker", lambda channel: Remaining(0.0, 1e-3))
+    even = channel(world(27)[0])
+    assert even.uneven is None and remaining(even, ()).p_value == pytest.approx(2e-3)
 
 
 @pytest.mark.parametrize("far", [1.0, 4.0])

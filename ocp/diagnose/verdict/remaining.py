@@ -37,8 +37,9 @@ class Remaining:
 def remaining(channel: Channel, tests: Sequence[KernelTest]) -> Remaining:
     """Of a channel with the named effects in it, gross readings apart; tests: kernel tests after the effects."""
     told = [_of_tracker(channel) if isinstance(channel, TrackerChannel) else _of_rows(channel)]
-    if isinstance(channel, TrackerChannel) and channel.uneven is not None:
-        told.append(Remaining(channel.uneven.rms * float(np.sqrt(channel.uneven.share)), channel.uneven.p_value))
+    if isinstance(channel, TrackerChannel):  # a test that found nothing is one too
+        one = channel.uneven
+        told.append(Remaining(0.0, 1.0) if one is None else Remaining(one.rms * float(np.sqrt(one.share)), one.p_value))
     if own := [t for t in tests if t.channel == channel.name]:
         best = min(own, key=lambda t: t.p_value)
         noise = channel.noise_floor / SCALE[channel.unit]
