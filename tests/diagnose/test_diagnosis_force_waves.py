@@ -144,6 +144,16 @@ def test_what_hums_with_a_phase_of_its_own_in_each_run_is_no_knock(made: Made, k
     assert wave.columns.shape[1] == 2 * tones * len(np.unique(log.run[log.contact]))
 
 
+def test_a_run_with_a_standing_belt_has_no_waves_of_the_wheels_turn(made: Made):  # noqa: F811
+    """What it reads beside the others is an offset, which is what a stopped belt is there to show."""
+    problem, log = made.channel.problem, made.channel.log
+    at = log.run == np.unique(log.run[log.contact])[2]
+    conditions = replace(problem.scene.conditions, belt=np.where(at, 0.0, problem.scene.conditions.belt))
+    still = replace(log, fn=log.fn + 0.5 * at * log.contact, ft=np.where(at, 0.0, log.ft))
+    problem = replace(problem, scene=replace(problem.scene, conditions=conditions), log=still)
+    assert not [w for w in telling_waves(problem, fit_effects(problem, (), made.channel.fit)) if w.where.startswith("turn wave")]
+
+
 def test_a_log_of_one_run_has_no_waves_of_single_runs(made: Made):  # noqa: F811
     log = made.channel.log
     problem = _part(made.channel.problem, np.flatnonzero(log.run == log.run[0]))

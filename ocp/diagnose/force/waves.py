@@ -118,24 +118,26 @@ def _apart(
     """Of waves of evenly spaced numbers with a phase of their own in each run, alone and as periods of `most` tones, those that
     gain most, where that is more than chance; none of a single run, of very many, or where none is fast enough."""
     log, white = problem.log, fit.whiteners[0]
-    runs, index = np.unique(np.where(log.contact, log.run, -1), return_inverse=True)
-    each = (index[:, None] == np.flatnonzero(runs >= 0)).astype(float)
-    if not 1 < each.shape[1] <= RUNS_APART or not len(numbers) or most * numbers[0] > numbers[-1]:
+    if not len(numbers) or most * numbers[0] > numbers[-1]:
+        return
+    runs = [(log.run == r) & log.contact for r in np.unique(log.run[log.contact])]
+    each = np.array([own for own in runs if np.ptp(along[own]) * numbers[0] > 1.0])  # a wheel that stands makes no waves
+    if not 1 < len(each) <= RUNS_APART:
         return
     probes = np.unique(np.linspace(0, len(numbers) - 1, LENGTH_PROBES).round().astype(int))
     touching = log.contact[:, None]
-    sizes = [each.T @ np.sum(white.whole(touching * _both(numbers[k] * along)) ** 2, axis=1) / 2 for k in probes]
+    sizes = [each @ np.sum(white.whole(touching * _both(numbers[k] * along)) ** 2, axis=1) / 2 for k in probes]
     gain = np.zeros(len(numbers))
-    for own, size in zip(each.T > 0, np.array(sizes).T, strict=True):
+    for own, size in zip(each, np.array(sizes).T, strict=True):
         gain += np.abs(_transform(numbers, along[own], y[own])) ** 2 / np.interp(numbers, numbers[probes], size)
     for count, name in {most: where.replace("wave", "period"), 1: where}.items():
         tones, able = np.arange(1, count + 1), numbers[numbers * count <= numbers[-1]]
         gained = np.sum([np.interp(tone * able, numbers, gain) for tone in tones], axis=0)
-        if len(able) * chdtrc(2 * count * each.shape[1], gained.max()) > PLACE_SURE:
+        if len(able) * chdtrc(2 * count * len(each), gained.max()) > PLACE_SURE:
             continue  # chance makes as much, and every column is carried through all that follows
         best = float(able[gained.argmax()])
         columns = np.hstack([_both(tone * best * along) for tone in tones])
-        columns = (each[:, :, None] * columns[:, None]).reshape(len(log), -1)
+        columns = (each.T[:, :, None] * columns[:, None]).reshape(len(log), -1)
         yield Wave(name, best, columns, max(len(numbers) // (2 * most), WAVES_PICKED))
 
 
