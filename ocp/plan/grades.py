@@ -15,6 +15,7 @@ from ocp.plan.rules import FORCE_SHARE, LEAST_STRETCH, STOP_PRELOAD, UNCERTAIN_F
 from robots.gravity import GRAVITY
 
 GREEN, AMBER, RED = "green", "amber", "red"
+NOT_TO_GRIND = "Safe to move, not to grind."
 CALIBRATED = "calibrate: ocp.poses and tracker readings for the arm, a force log of these passes for wheel and blade"
 
 
@@ -48,7 +49,7 @@ class Grades:
     def headline(self) -> str:
         """The verdict in a few words."""
         if self.force.grade == RED:
-            return "Safe to move, not to grind."
+            return NOT_TO_GRIND
         return "Safe to use." if {self.move.grade, self.force.grade} == {GREEN} else "Safe to use, with care."
 
     @property

@@ -12,6 +12,7 @@ import pytest
 
 from ocp.plan import night
 from ocp.plan.__main__ import app
+from ocp.plan.grades import NOT_TO_GRIND
 from ocp.plan.night import plan_night
 from ocp.plan.report.night import night_page
 from ocp.shell.executor import WorkerEnded
@@ -165,6 +166,24 @@ def test_what_several_blades_cannot_have_is_one_sentence(tmp_path, arguments, sa
     told = called(app, tmp_path, *arguments, "--out", "night")
     assert told.code == 2 and says in told.err and told.err.count("\n") == 1 and told.out == ""
     assert tree(tmp_path) == before and not (tmp_path / "night").exists()
+
+
+@pytest.mark.parametrize(
+    ("headline", "tone"), [("Safe to use.", "safe"), ("Safe to use, with care.", "doubtful"), (NOT_TO_GRIND, "unsafe")]
+)
+def test_the_head_has_the_colour_of_its_worst_blade(headline, tone):
+    told = {
+        "name": "A",
+        "exit_code": 0,
+        "force_error_N": 0.1,
+        "force_sd_max_N": 1.0,
+        "duration_s": 60.0,
+        "seconds": 1.0,
+        "link": "a",
+    }
+    shares = dict.fromkeys(("ground_share", "core_within_5", "core_within_10"), 1.0)
+    rows = [told | {"headline": one, "process": shares} for one in ("Safe to use.", headline)]
+    assert night_page(rows, 2, "cell.toml").head.tone == tone
 
 
 def test_a_page_of_an_unfinished_night_says_what_is_still_to_come():

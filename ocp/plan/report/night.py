@@ -7,6 +7,7 @@ from urllib.parse import quote
 
 from markupsafe import Markup
 
+from ocp.plan.grades import NOT_TO_GRIND
 from ocp.report.parts import table
 from ocp.report.report import Report
 from ocp.report.section import Headline, Section
@@ -28,10 +29,11 @@ COLUMNS = (
 def night_page(rows: Sequence[Row], asked: int, cell: str) -> Report:
     """The page of the rows of night.json, of `asked` blades in a cell."""
     good = [row for row in rows if row["exit_code"] == 0]
-    careful = any(row["headline"] != "Safe to use." for row in good)
+    words = {row["headline"] for row in good}
     waiting = f" {asked - len(rows)} are still to be planned." if asked > len(rows) else ""
     verdict = "Not done yet." if waiting else "All have a plan." if len(good) == len(rows) else "Some have no plan."
-    head = Headline(len(good) == len(rows) and not waiting, verdict, words_of(rows) + waiting, doubtful=careful)
+    well = len(good) == len(rows) and not waiting and NOT_TO_GRIND not in words
+    head = Headline(well, verdict, words_of(rows) + waiting, doubtful=words != {"Safe to use."})
     facts = [("Cell", cell)]
     if good:
         facts.append(("Programs together", f"{sum(row['duration_s'] for row in good) / 3600:.2f} h"))

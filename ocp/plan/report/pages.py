@@ -1,5 +1,6 @@
 """The pages of a plan's report, in their order."""
 
+from ocp.plan.grades import NOT_TO_GRIND
 from ocp.plan.report.axes import axes_section
 from ocp.plan.report.force import force_section, left_out_section, verification_section
 from ocp.plan.report.plan_report import PlanReport
@@ -14,7 +15,7 @@ from ocp.report.section import Headline, Section
 def plan_pages(report: PlanReport) -> Report:
     """The report as headline and sections, in their order."""
     words = report.headline if report.safe else "Do not use."
-    head = Headline(report.safe, words, report.verdict, doubtful=words != "Safe to use.")
+    head = Headline(report.safe and words != NOT_TO_GRIND, words, report.verdict, doubtful=words != "Safe to use.")
     sections = (
         scene_section(report),
         Section("Summary", (Facts(tuple(report.summary)),)),
