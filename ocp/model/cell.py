@@ -199,6 +199,12 @@ class Cell:
         """Height m of the floor above the base's origin along `up`; None where the cell gives none."""
         return None if self.tables.floor is None else 1e-3 * self.tables.floor.z_mm
 
+    def flange_shares(self, n: Array) -> Array:
+        """Shares (k,) of a force along normals n (k, 3) of the blade that the flange's axis takes; one where it has none."""
+        if self.flange is None or self.flange.axis is None:
+            return np.ones(len(n))
+        return np.asarray(np.abs(n @ self.workpiece.T_flange_blade[:3, :3].T @ self.flange.axis))
+
 
 def read_cell(path: str | Path, blade: str | Path | None = None) -> Cell:
     """Read cell.toml; `blade` replaces `[workpiece].stl`.

@@ -107,10 +107,8 @@ def refuse_flange(cell: Cell, paths: list[BladePath]) -> None:
     flange = cell.flange
     if flange is None:
         return
-    shares, share = np.ones(sum(len(path.n) for path in paths)), 1.0
-    if flange.axis is not None:
-        shares = np.abs(np.concatenate([path.n for path in paths]) @ cell.workpiece.T_flange_blade[:3, :3].T @ flange.axis)
-        share = float(np.median(shares))
+    shares = cell.flange_shares(np.concatenate([path.n for path in paths]))
+    share = float(np.median(shares))
     weight = 0.0 if flange.gravity_compensated else GRAVITY * flange.carried_mass  # at most, where it hangs along the axis
     force, usable = np.concatenate([path.force for path in paths]), 0.5 * flange.stroke - STROKE_RESERVE
     least = float(((force * shares - flange.setpoint - weight) / flange.stiffness).min())

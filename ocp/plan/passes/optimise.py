@@ -303,8 +303,7 @@ def refuse_unsound(
         raise TouchesElsewhere(str(error), **vars(error))
     if cell.flange is not None:
         # Parts are along the normal, of which the flange's axis has a share (docs/model.md, eq. 3).
-        axis, limit = cell.flange.axis, 0.5 * cell.flange.stroke - STROKE_RESERVE
-        share = np.ones(len(path.n)) if axis is None else np.abs(path.n @ cell.workpiece.T_flange_blade[:3, :3].T @ axis)
+        share, limit = cell.flange_shares(path.n), 0.5 * cell.flange.stroke - STROKE_RESERVE
         beyond = solved.parts[:, 0] - limit * share
         k = int(np.argmax(beyond))
         if beyond[k] > 0:
