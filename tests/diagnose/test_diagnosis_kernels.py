@@ -113,6 +113,13 @@ def test_a_reflector_that_is_no_ball_is_told_from_the_arm():
     assert d.location is not None and d.location.subsystem == "tracker" and d.location.depends_on == ("sight",)
 
 
+def test_a_flange_that_always_hangs_alike_falls_to_no_side():
+    """A sweep of joint 1 on a base that leans by a fraction of a degree: its angle drawn out to the whole range."""
+    c = channel(world(13, n=60)[0]).conditions
+    for hang, there in ((c.hang, True), (c.hang[0] + 1e-3 * c.hang, False)):
+        assert any(one.where == "hang" for one in kernels(replace(c, hang=hang))) == there
+
+
 @pytest.mark.parametrize("nest", [None, 2])
 def test_what_falls_to_the_side_to_which_the_flange_hangs_is_told_from_the_arm(nest):
     """A loose holder, or one loose nest: 0.1 mm along the flange's own x, to one side or the other."""

@@ -142,8 +142,10 @@ def kernels(c: ReadingConditions) -> Iterator[Kernel]:
             yield Kernel("target x time", "frame", 0, [still], moved[:, :, None], *FRAME_KERNEL, x)
         if c.hang is not None and c.carrier is not None:  # what is loose falls to one side, of all nests or of one
             which = [np.ones(n), *(1.0 * (c.target == k) for k in nests if len(nests) > 1)]
-            hung = [smooth(side, SIDES) * one[:, None] for side in c.hang.T for one in which]
-            yield Kernel("hang", "frame", 0, [c.carrier], np.stack(hung, axis=1), *FRAME_KERNEL, x)
+            sides = [smooth(side, SIDES) for side in c.hang.T if np.ptp(side) > LEAST_TURN]
+            if sides:
+                hung = np.stack([side * one[:, None] for side in sides for one in which], axis=1)
+                yield Kernel("hang", "frame", 0, [c.carrier], hung, *FRAME_KERNEL, x)
         if c.point is not None:
             yield from _of_beam(c, x, c.point)
     elif c.signal == "force":
