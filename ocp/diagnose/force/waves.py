@@ -228,9 +228,8 @@ def likely_trains(problem: ForceProblem, fit: EffectFit) -> SpliceTrains:
     size = _sizes(problem, fit)
     found = list[tuple[float, Scanned, float]]()
     clocks = [(0.0, c.time)] + ([(1.0, c.clock)] if "clock_s" in c.given and len(np.unique(c.run)) > 1 else [])
+    clocks = [(clocked, time) for clocked, time in clocks if np.ptp(time) <= (FAR - 1) * np.median(steps)]
     for clocked, time in clocks:
-        if np.ptp(time) > (FAR - 1) * np.median(steps):
-            continue
         rates, S = _spectrum(time, y, float(np.median(steps)), float(np.ptp(time)))
         spread = len(clocks) * float(np.std(time[log.contact]))
         for hz, turn, length in _first_look(rates, S, size):

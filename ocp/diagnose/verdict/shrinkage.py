@@ -150,8 +150,12 @@ def interval(draws: Array) -> Shrinkage:
 
 
 ANOTHER_DAY = "another day"
-KINDS = {"joint range": "another region", "time": "later", "station": "another session"}
-"""What new data are like that a kind of fold stands for; others are called after what was left out."""
+KINDS = {"joint range": "another region", "time": "later", "station": "another session"}  # others after what was left out
+
+
+def kind_of(held: HeldOut) -> str:
+    """What new data are like that one fold stands for."""
+    return KINDS.get(held.fold.kind, f"another {held.fold.kind}")
 
 
 def promised_by_kind(held: Sequence[HeldOut]) -> dict[str, Shrinkage]:
@@ -166,7 +170,7 @@ def promised_by_kind(held: Sequence[HeldOut]) -> dict[str, Shrinkage]:
             and seen.setdefault(h.fold.held.tobytes(), h) is h
             and realised(h.before, h.after, h.noise) is not None
         ):
-            groups.setdefault(KINDS.get(h.fold.kind, f"another {h.fold.kind}"), []).append(h)
+            groups.setdefault(kind_of(h), []).append(h)
     rng = np.random.default_rng(0)
     drawn = {
         kind: np.concatenate([_drawn(rng, [h], h.estimation, DRAWS // len(some)) for h in some]) for kind, some in groups.items()
