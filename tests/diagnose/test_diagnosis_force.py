@@ -279,6 +279,23 @@ def test_no_effect_is_no_gap_though_readings_are_wild(made, tmp_path):
     assert diagnose_channels([_again(made, log)], EFFECTS).verdict == "no_gap"
 
 
+def test_gross_readings_are_no_gap_and_their_tails_are_no_noise(made):
+    """One reading in a hundred off by newtons: gap, noise and left-out errors are those of the others."""
+    log, rng = made.channel.log, np.random.default_rng(12)
+    wild = log.contact & (rng.uniform(size=len(log)) < 0.01)
+    off = wild * rng.uniform(2.0, 9.0, len(log)) * rng.choice([-1.0, 1.0], len(log))
+    problem = replace(made.channel.problem, log=replace(log, fn=log.fn + off))
+    channel = ForceChannel(problem, fit_effects(problem), made.channel.effects)
+    found = diagnose_channels([made.channel], {})
+    plain, gross = (signal_gap(found, c, c) for c in (made.channel, channel))
+    assert np.abs(channel.gap()).max() > 5.0 > 1.0 > gross.before.max()
+    for name in ("noise_floor", "rms"):
+        one, other = (g.noise_floor if name == "noise_floor" else np.sqrt(np.mean(g.before**2)) for g in (plain, gross))
+        assert other == pytest.approx(one, rel=0.06), name
+    held = [channel.held_out(fold, ()) for fold in channel.folds()]
+    assert np.median([h.before / h.noise for h in held if h is not None]) == pytest.approx(1.0, abs=0.15)
+
+
 def test_fast_patterns_are_kept_where_averages_lose_them(made):
     channel, scanned = made.channel, {"clocked": 1.0}
     whiteners, about = channel.fit.whiteners, (channel.problem.scene, channel.fit.at, channel.fit.slopes)
