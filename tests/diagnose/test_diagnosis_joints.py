@@ -167,6 +167,13 @@ def test_sealed_recordings_of_link_sides_are_predicted_blind(tmp_path):
     assert told["sigma"][~inside, 0].mean() > 3.0 * told["sigma"][inside, 0].mean()
 
 
+def test_effects_are_as_large_as_the_arm(tmp_path):
+    """What is usual of a spring or of play under load goes by the believed arm's torques, as for a tracker."""
+    write_csv(tmp_path / "joints.csv", joint_columns(3))
+    channel = joint_channel(read_joint_log(tmp_path / "joints.csv"), load_robot("ur10"), PAYLOADS["bare"])
+    assert channel.surroundings.torque_max.max() == 330.0 and channel.surroundings.stiffness.max() == 1e5
+
+
 def test_speeds_contradict_times_in_milliseconds(tmp_path):
     columns = joint_columns(seed=6)
     time, q = np.asarray(columns["time_s"], float), np.asarray(columns["q2_deg"], float)

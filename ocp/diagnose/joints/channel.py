@@ -317,11 +317,12 @@ class JointChannel:
 
     @property
     def surroundings(self) -> Surroundings:
-        """Ranges of the joints, times."""
-        log = self.problem.signals.log
+        """Ranges of the joints, times, the arm's own size."""
+        log, robot = self.problem.signals.log, self.problem.robot
         span = np.stack([log.q.min(axis=0), log.q.max(axis=0)], axis=1)
-        robot = self.problem.robot
-        return Surroundings(robot.gear_ratio, span, np.sort(log.time), robot=robot.name)
+        return Surroundings(
+            robot.gear_ratio, span, np.sort(log.time), robot=robot.name, torque_max=robot.torque_max, stiffness=robot.stiffness
+        )
 
     @cached_property
     def system(self) -> System:
