@@ -174,6 +174,18 @@ def test_effects_are_as_large_as_the_arm(tmp_path):
     assert channel.surroundings.torque_max.max() == 330.0 and channel.surroundings.stiffness.max() == 1e5
 
 
+def test_a_name_of_one_joint_is_written(tmp_path):
+    """What is left out of a recording are all joints' readings under a condition: another joint's own cannot say that this one's
+    ripple takes nothing."""
+    write_joint_folder(tmp_path, 3)
+    columns = joint_columns(3)
+    columns["link3_deg"] = columns["link3_deg"] + np.degrees(8e-5 * np.cos(37 * np.radians(columns["q3_deg"])))
+    write_csv(tmp_path / "joints.csv", columns)
+    answer = answer_of(tmp_path, Phases())
+    assert [(one.effect.name, one.joint) for one in answer.written] == [("gear_harmonic", 3)]
+    assert answer.gaps[0].shrinkage.low > 0.3
+
+
 def test_speeds_contradict_times_in_milliseconds(tmp_path):
     columns = joint_columns(seed=6)
     time, q = np.asarray(columns["time_s"], float), np.asarray(columns["q2_deg"], float)

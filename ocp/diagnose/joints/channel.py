@@ -270,13 +270,14 @@ def joint_folds(problem: EncoderProblem) -> list[Fold]:
 
 
 def _of_joint(problem: EncoderProblem, j: int, q: Array, qd: Array, direction: Array) -> list[Fold]:
-    mine = problem.joint == j
+    """Every joint's readings there: of one joint's own, what is named of another takes nothing, and promises nothing."""
     row = problem.row
-    middle, fast = float(np.median(q[row[mine]])), float(np.median(np.abs(qd[row[mine]])))
-    found = [Fold(f"q{j}>{np.degrees(middle):.0f}deg", "joint range", mine & (q > middle)[row])]
+    mine = row[problem.joint == j]
+    middle, fast = float(np.median(q[mine])), float(np.median(np.abs(qd[mine])))
+    found = [Fold(f"q{j}>{np.degrees(middle):.0f}deg", "joint range", (q > middle)[row])]
     if (direction < 0).any() and (direction > 0).any():
-        found.append(Fold(f"direction{j}=-", "approach", mine & (direction < 0)[row]))
-    found.append(Fold(f"speed{j}>{np.degrees(fast):.0f}deg/s", "speed", mine & (np.abs(qd) > fast)[row]))
+        found.append(Fold(f"direction{j}=-", "approach", (direction < 0)[row]))
+    found.append(Fold(f"speed{j}>{np.degrees(fast):.0f}deg/s", "speed", (np.abs(qd) > fast)[row]))
     return found
 
 
