@@ -140,8 +140,8 @@ def test_two_recordings_with_a_zero_set_anew_give_the_lag_that_each_alone_gives(
     channel = joint_channel(data.joints, data.setup.robot, data.payload)
     best = diagnose_channels([channel], library()).ranking[0]
     assert best.name == Name("channel_delay", 0) and best.probability > 0.99
-    # Companions that these recordings leave open (a coupled or rippled joint 1) move it by a sixteenth of its sd.
-    assert 2.835e-3 < best.active.a[0] < 2.895e-3
+    # Companions that these recordings leave open (a coupled or rippled joint 1) move it by less than half of its sd.
+    assert 2.81e-3 < best.active.a[0] < 2.93e-3
 
 
 def test_sealed_recordings_of_link_sides_are_predicted_blind(tmp_path):
@@ -184,6 +184,22 @@ def test_a_name_of_one_joint_is_written(tmp_path):
     answer = answer_of(tmp_path, Phases())
     assert [(one.effect.name, one.joint) for one in answer.written] == [("gear_harmonic", 3)]
     assert answer.gaps[0].shrinkage.low > 0.3
+
+
+def rubbed(seed: int) -> dict:
+    """joints.csv of an arm that is as believed, whose motors' torques hold the drives' dry friction."""
+    columns = joint_columns(seed)
+    for j, friction in ((1, 100.0), (2, 300.0), (3, 150.0)):
+        columns[f"tau{j}_Nm"] = columns[f"tau{j}_Nm"] + friction * np.sign(np.gradient(columns[f"q{j}_deg"]))
+    return columns
+
+
+def test_friction_in_torques_turns_round_as_smoothly_as_these(tmp_path):
+    """Torques are smoothed, over a reversal too: a sharper friction would leave arcseconds there, which names then explain."""
+    write_csv(tmp_path / "joints.csv", rubbed(6))
+    system = joint_channel(read_joint_log(tmp_path / "joints.csv"), EXTRA, PAYLOADS["grinder"]).system
+    left = system.residual - system.nuisance @ np.linalg.lstsq(system.nuisance, system.residual, rcond=1e-12)[0]
+    assert 0.85 < np.mean(left**2) < 1.2
 
 
 def test_speeds_contradict_times_in_milliseconds(tmp_path):

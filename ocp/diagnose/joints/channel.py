@@ -148,7 +148,7 @@ class EncoderProblem:
         runs = [(name, log.run[self.row] == k) for k, name in enumerate(log.runs)]
         found = [(offset_of(j, name), 0.0, np.inf, (at & run).astype(float)) for j, at in mine.items() for name, run in runs]
         loaded = {j: at for j, at in mine.items() if s.measured[j - 1]}
-        for kind, friction in (("viscous", s.qd), ("dry", s.direction)):
+        for kind, friction in (("viscous", s.viscous), ("dry", s.dry)):
             for j, at in loaded.items():
                 found.append((f"{kind} {j}", 0.0, FRICTION_SD[kind], np.where(at, -friction[self.row, j - 1], 0.0)))
         for j, (compliance, sd) in self.springs.items():

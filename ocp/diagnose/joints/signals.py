@@ -31,8 +31,9 @@ class Signals:
     """n instants of a log, thinned.
 
     log: those rows; qd, qdd (n, 6) rad/s, rad/s^2 of the motor side; direction (n, 6) sign of the last motion; tau (n, 6) N m
-    load torque, positive along +q (the motor's with the other sign); measured (6,) whether it was recorded or is the believed
-    arm's weight; splines[run][j]: motor angle in time; sign: of the recorded torques (`load_sign`).
+    load torque, positive along +q (the motor's with the other sign); viscous (n, 6) rad/s, dry (n, 6): speed and sign of the
+    motion, smoothed as recorded torques are; measured (6,) whether tau was recorded or is the believed arm's weight;
+    splines[run][j]: motor angle in time; sign: of the recorded torques (`load_sign`).
     """
 
     log: JointLog
@@ -40,6 +41,8 @@ class Signals:
     qdd: Array
     direction: Array
     tau: Array
+    viscous: Array
+    dry: Array
     measured: NDArray[np.bool_]
     splines: tuple[tuple[CubicSpline, ...], ...]
     sign: float = 1.0
@@ -81,13 +84,14 @@ class Signals:
 def signals_of(log: JointLog, robot: Robot, payload: Hanging, like: Signals | None = None) -> Signals:
     """Signals of a log, thinned to `MOST` readings. The sign of the recorded torques is the one with which the joints give way
     (`load_sign`); `like`: the log without a link side that takes it from there."""
-    splines, qd, qdd, direction = _motion(log)
+    splines, qd, qdd, direction, rubbing = _motion(log)
     measured = np.asarray(np.isfinite(log.tau).any(axis=0))
     tau = np.where(measured, -_smoothed(log, _filled(log)), weight_torques(robot, log.q, payload.mass, payload.com))
     rows = _kept(log)
-    thin = Signals(log.take(rows), qd[rows], qdd[rows], direction[rows], tau[rows], measured, splines)
-    sign = load_sign(thin) if like is None else like.sign
-    return replace(thin, tau=np.where(thin.measured, sign * thin.tau, thin.tau), sign=sign)
+    viscous, dry = _smoothed(log, qd)[rows], _smoothed(log, rubbing)[rows]
+    found = Signals(log.take(rows), qd[rows], qdd[rows], direction[rows], tau[rows], viscous, dry, measured, splines)
+    sign = load_sign(found) if like is None else like.sign
+    return replace(found, tau=np.where(found.measured, sign * found.tau, found.tau), sign=sign)
 
 
 def load_sign(signals: Signals) -> float:
@@ -110,9 +114,10 @@ def load_sign(signals: Signals) -> float:
     return -1.0 if total < 0 else 1.0
 
 
-def _motion(log: JointLog) -> tuple[tuple[tuple[CubicSpline, ...], ...], Array, Array, Array]:
-    """Splines of the motor side by run, speeds, accelerations, directions of the last motion."""
-    qd, qdd, direction = (np.zeros_like(log.q) for _ in range(3))
+def _motion(log: JointLog) -> tuple[tuple[tuple[CubicSpline, ...], ...], Array, Array, Array, Array]:
+    """Splines of the motor side by run, speeds, accelerations, directions of the last motion, and of friction, which turns round
+    in the middle of a rest."""
+    qd, qdd, direction, rubbing = (np.zeros_like(log.q) for _ in range(4))
     splines = []
     for k in range(len(log.runs)):
         rows = np.flatnonzero(log.run == k)
@@ -129,7 +134,10 @@ def _motion(log: JointLog) -> tuple[tuple[tuple[CubicSpline, ...], ...], Array, 
         rows = np.flatnonzero(log.run == k)
         sign = np.where(np.abs(qd[rows]) > RESTING_SPEED * top, np.sign(qd[rows]), 0.0)
         direction[rows] = np.stack([_held(sign[:, j]) for j in range(6)], axis=1)
-    return tuple(splines), qd, qdd, direction
+        for j in np.flatnonzero(sign.any(axis=0)):
+            moves = np.flatnonzero(sign[:, j])
+            rubbing[rows, j] = np.interp(np.arange(len(rows)), moves, sign[moves, j])
+    return tuple(splines), qd, qdd, direction, rubbing
 
 
 def _held(sign: Array) -> Array:
@@ -194,7 +202,7 @@ def state_columns(signals: Signals, joint: int, broad: bool) -> Array:
     q, qd, tau = signals.log.q[:, j], signals.qd[:, j], signals.tau[:, j]
     s = signals.direction[:, j]
     runs = [(signals.log.run == k).astype(float) for k in np.unique(signals.log.run)]
-    found = [*runs, qd, s, tau]
+    found = [*runs, qd, s, tau, *((signals.viscous[:, j], signals.dry[:, j]) if signals.measured[j] else ())]
     if broad:
         found += [signals.qdd[:, j], q, q**2, np.cos(2 * q), np.sin(2 * q), tau**3, np.abs(tau) * s]
     columns = np.stack(found, axis=1)
