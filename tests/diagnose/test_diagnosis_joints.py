@@ -167,6 +167,35 @@ def test_sealed_recordings_of_link_sides_are_predicted_blind(tmp_path):
     assert told["sigma"][~inside, 0].mean() > 3.0 * told["sigma"][inside, 0].mean()
 
 
+def rubbed(seed: int) -> dict:
+    """joints.csv of an arm that is as believed, whose motors' torques hold the drives' dry friction."""
+    columns = joint_columns(seed)
+    for j, friction in ((1, 100.0), (2, 300.0), (3, 150.0)):
+        columns[f"tau{j}_Nm"] = columns[f"tau{j}_Nm"] + friction * np.sign(np.gradient(columns[f"q{j}_deg"]))
+    return columns
+
+
+def test_friction_in_torques_turns_round_as_smoothly_as_these(tmp_path):
+    """Torques are smoothed, over a reversal too: a sharper friction would leave arcseconds there, which names then explain."""
+    write_csv(tmp_path / "joints.csv", rubbed(6))
+    system = joint_channel(read_joint_log(tmp_path / "joints.csv"), EXTRA, PAYLOADS["grinder"]).system
+    left = system.residual - system.nuisance @ np.linalg.lstsq(system.nuisance, system.residual, rcond=1e-12)[0]
+    assert 0.85 < np.mean(left**2) < 1.2
+
+
+def test_friction_in_recorded_torques_is_in_the_sigma(tmp_path):
+    """The fit leaves it at zero, the spring takes it along: what is predicted misses by it anew."""
+    write_joint_folder(tmp_path, 3)
+    write_csv(tmp_path / "joints.csv", rubbed(3))
+    other = rubbed(8)
+    truth = np.stack([np.asarray(other.pop(name)) for name in ("link1_deg", "link2_deg", "link3_deg")], axis=1)
+    write_csv(tmp_path / "sealed_joints.csv", other)
+    answer = answer_of(tmp_path, Phases())
+    told = predict_sealed(answer)["joint"]
+    z = ((np.radians(truth) - told.corrected) / np.hypot(told.sigma, 5e-6))[told.inside]
+    assert 0.6 < np.sqrt(np.mean(z**2)) < 1.5
+
+
 def test_effects_are_as_large_as_the_arm(tmp_path):
     """What is usual of a spring or of play under load goes by the believed arm's torques, as for a tracker."""
     write_csv(tmp_path / "joints.csv", joint_columns(3))
@@ -184,22 +213,6 @@ def test_a_name_of_one_joint_is_written(tmp_path):
     answer = answer_of(tmp_path, Phases())
     assert [(one.effect.name, one.joint) for one in answer.written] == [("gear_harmonic", 3)]
     assert answer.gaps[0].shrinkage.low > 0.3
-
-
-def rubbed(seed: int) -> dict:
-    """joints.csv of an arm that is as believed, whose motors' torques hold the drives' dry friction."""
-    columns = joint_columns(seed)
-    for j, friction in ((1, 100.0), (2, 300.0), (3, 150.0)):
-        columns[f"tau{j}_Nm"] = columns[f"tau{j}_Nm"] + friction * np.sign(np.gradient(columns[f"q{j}_deg"]))
-    return columns
-
-
-def test_friction_in_torques_turns_round_as_smoothly_as_these(tmp_path):
-    """Torques are smoothed, over a reversal too: a sharper friction would leave arcseconds there, which names then explain."""
-    write_csv(tmp_path / "joints.csv", rubbed(6))
-    system = joint_channel(read_joint_log(tmp_path / "joints.csv"), EXTRA, PAYLOADS["grinder"]).system
-    left = system.residual - system.nuisance @ np.linalg.lstsq(system.nuisance, system.residual, rcond=1e-12)[0]
-    assert 0.85 < np.mean(left**2) < 1.2
 
 
 def test_speeds_contradict_times_in_milliseconds(tmp_path):

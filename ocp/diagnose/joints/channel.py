@@ -406,11 +406,29 @@ class JointChannel:
         told = [columns @ (place @ c.theta) + shift_of(there, c.active) for c in (bare, other)]
         baseline, corrected = (motor + shift.reshape(n, -1) for shift in told)
         noise = np.array([np.hypot(self.problem.noise[int(j)].quick, self.problem.noise[int(j)].slow) for j in joints])
+        fitted_to = other._unsure_of(there, columns @ place).reshape(n, -1)
         # Where nobody measured, what the effects change is not known better than by its own size.
         inside = self._inside(joints, signals)
         unsure = np.where(inside[:, None], 0.0, np.abs(corrected - baseline))
-        sigma = np.sqrt(noise**2 + self._anew(joints, signals.log) ** 2 + unsure**2)
+        sigma = np.sqrt(noise**2 + self._anew(joints, signals.log) ** 2 + unsure**2 + fitted_to)
         return Sealed(baseline, corrected, sigma, inside=inside)
+
+    def _unsure_of(self, there: EncoderProblem, nuisance: Array) -> Array:
+        """Variance (n,) rad^2 of what the fit predicts of `there`, nuisance (n, p) being the sensitivities of it in this
+        channel's own: of the unknowns, and of what would change if friction in recorded torques, which the fit leaves at zero,
+        were as the readings have it."""
+        system, delays, p = self.system, delays_of(self.problem, self.active), self.problem
+        sd = np.append(system.prior_sd, prior_sds(self.active))
+        offset = np.append(system.offset, coefficients(self.active))
+        known = np.isfinite(sd)
+        scale = np.where(known, sd, 1.0)
+        here = np.column_stack([system.nuisance, *(p.whitened(column_of(p, one, delays)) for one in self.active)])
+        far = np.column_stack([nuisance, *(column_of(there, one, delays) for one in self.active)]) * scale
+        U, s, Vt = np.linalg.svd(np.vstack([here * scale, np.diag(known.astype(float))]), full_matrices=False)
+        told = s > RANK * s[0]
+        modes = far @ (Vt[told].T / s[told])
+        step = U[:, told].T @ np.append(system.residual, np.where(known, -offset / scale, 0.0))
+        return np.asarray(np.sum(modes**2, axis=1) + (modes @ step) ** 2)
 
     def _inside(self, joints: Index, signals: Signals) -> NDArray[np.bool_]:
         """Rows (n,) in which angle and speed of all joints lie where this channel's log has them."""
