@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicSpline
 
 from ocp.diagnose.answering import answer_of, columns_predicted, predict_sealed, write_predictions
 from ocp.diagnose.dataset import read_data_set
@@ -194,6 +195,41 @@ def test_friction_in_recorded_torques_is_in_the_sigma(tmp_path):
     told = predict_sealed(answer)["joint"]
     z = ((np.radians(truth) - told.corrected) / np.hypot(told.sigma, 5e-6))[told.inside]
     assert 0.6 < np.sqrt(np.mean(z**2)) < 1.5
+
+
+def test_a_hole_in_a_recording_is_no_motion(tmp_path):
+    """A spline over seconds without rows overshoots into speeds that no axis had; friction and ripples explained them."""
+    columns = joint_columns(2, delay=4e-3)
+    time = np.asarray(columns["time_s"])
+    kept = (time < 3.0) | (time > 6.0)
+    write_csv(tmp_path / "joints.csv", {k: np.asarray(v)[kept] for k, v in columns.items()})
+    channel = joint_channel(read_joint_log(tmp_path / "joints.csv"), EXTRA, PAYLOADS["grinder"])
+    assert np.degrees(np.abs(channel.problem.signals.qd).max()) < 45.0  # 30 deg at 0.23 Hz: 43 deg/s
+    assert channel.with_active((fresh("channel_delay", 0),)).gap().std() * SCALE["arcsec"] < 1.3
+
+
+def test_rounded_angles_are_no_speed(tmp_path):
+    """At 1 kHz a digit of 0.01 deg is 10 deg/s; the delay came out too small by many of its sd."""
+    columns = joint_columns(2, delay=4e-3)
+    time = np.arange(0.0, 11.9, 1e-3)
+    fine = {k: CubicSpline(columns["time_s"], v)(time) for k, v in columns.items() if k not in ("run", "time_s")}
+    fine = {k: np.round(v, 2) if k.startswith("q") else v for k, v in fine.items()}
+    write_csv(tmp_path / "joints.csv", {"run": ["a"] * len(time), "time_s": np.round(time, 4), **fine})
+    channel = joint_channel(read_joint_log(tmp_path / "joints.csv"), EXTRA, PAYLOADS["grinder"])
+    found = channel.with_active((fresh("channel_delay", 0),))
+    assert abs(found.active[0].a[0] - 4e-3) < 1e-4
+
+
+def test_whole_turns_are_taken_out(tmp_path):
+    columns = joint_columns(2, delay=4e-3)
+    write_csv(tmp_path / "joints.csv", columns)
+    plain = read_joint_log(tmp_path / "joints.csv")
+    columns |= {name: np.asarray(columns[name]) % 360.0 for name in ("q1_deg", "link1_deg")}
+    write_csv(tmp_path / "joints.csv", columns)
+    turned = read_joint_log(tmp_path / "joints.csv")
+    assert any("q1_deg, link1_deg jump by whole turns" in n for n in turned.notices)
+    for was, now in ((plain.q, turned.q), (plain.link, turned.link)):
+        assert np.allclose(np.ptp(was[:, 0] - now[:, 0]), 0.0, atol=1e-9)
 
 
 def test_effects_are_as_large_as_the_arm(tmp_path):

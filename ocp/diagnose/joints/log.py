@@ -71,12 +71,18 @@ def read_joint_log(path: str | Path, mapping: ColumnMapping = OURS, sealed: bool
         raise BadInput(f"{table.path}: none of the columns link1_deg .. link6_deg is there; the link side is what is compared")
     run, runs = table.labels("run")
     table.check_order("time_s", run, runs, strictly=True)
-    q, link = np.radians(table.stack(AXES)), np.radians(_columns(table, LINK))
+    read = np.radians(np.hstack([table.stack(AXES), _columns(table, LINK)]))
+    whole = _unwrapped(read, run)
+    turned = [name for name, was, now in zip((*AXES, *LINK), read.T, whole.T, strict=True) if not np.array_equal(was, now, True)]
+    q, link = np.hsplit(whole, 2)
     _check_speeds(table, run)
     if sealed:
         link = np.full_like(q, np.nan)
     _check_link(table, q, link)
     log = JointLog(path=table.path, run=run, runs=runs, time=table.numbers["time_s"], q=q, link=link, tau=_columns(table, TORQUE))
+    if turned:
+        told = f"{table.path.name}: {', '.join(turned)} jump by whole turns from row to row, which are taken out"
+        log = replace(log, notices=(told,))
     if sealed:
         return log
     if not log.joints:
@@ -84,12 +90,24 @@ def read_joint_log(path: str | Path, mapping: ColumnMapping = OURS, sealed: bool
             f"{table.path}: no joint has {FEW} rows with a link side and moved by more than {np.degrees(MOVED):g} deg; "
             "record a motion"
         )
-    return replace(log, notices=tuple(_notices(table, log)))
+    return replace(log, notices=(*log.notices, *_notices(table, log)))
 
 
 def _columns(table: CsvTable, names: tuple[str, ...]) -> Array:
     """Columns side by side, nan where one is absent."""
     return np.stack([table.numbers.get(c, np.full(len(table), np.nan)) for c in names], axis=1)
+
+
+def _unwrapped(angles: Array, run: Index) -> Array:
+    """Angles (n, k) rad, nan where unknown, without the whole turns by which they jump inside a run."""
+    out = angles.copy()
+    for k in range(run.max(initial=-1) + 1):
+        for column in out.T:
+            rows = np.flatnonzero((run == k) & np.isfinite(column))
+            turns = np.round(np.diff(column[rows]) / (2 * np.pi))
+            if turns.any():
+                column[rows[1:]] -= 2 * np.pi * np.cumsum(turns)
+    return out
 
 
 def _check_link(table: CsvTable, q: Array, link: Array) -> None:

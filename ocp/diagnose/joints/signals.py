@@ -23,6 +23,8 @@ from robots.pose import Array
 from robots.robot import Robot
 from robots.tracker_readings import Hanging, Index
 
+HOLE, HOLE_ROWS = 0.4, 10  # s, and usual steps: a longer one between two rows is a hole
+ANGLE_WINDOW = 0.05  # s over which motor angles are smoothed: their last digit must not pass for speed
 MOST = 1500  # readings kept of a log: more of them are no more independent, and the search is linear in them
 
 
@@ -33,7 +35,7 @@ class Signals:
     log: those rows; qd, qdd (n, 6) rad/s, rad/s^2 of the motor side; direction (n, 6) sign of the last motion; tau (n, 6) N m
     load torque, positive along +q (the motor's with the other sign); viscous (n, 6) rad/s, dry (n, 6): speed and sign of the
     motion, smoothed as recorded torques are; measured (6,) whether tau was recorded or is the believed arm's weight;
-    splines[run][j]: motor angle in time; sign: of the recorded torques (`load_sign`).
+    piece (n,): stretch without a hole, splines[piece][j]: motor angle in it; sign: of the recorded torques (`load_sign`).
     """
 
     log: JointLog
@@ -44,6 +46,7 @@ class Signals:
     viscous: Array
     dry: Array
     measured: NDArray[np.bool_]
+    piece: Index
     splines: tuple[tuple[CubicSpline, ...], ...]
     sign: float = 1.0
 
@@ -54,17 +57,17 @@ class Signals:
         return found if found.mean() > 0.3 else np.ones(len(found), bool)
 
     def inside(self) -> NDArray[np.bool_]:
-        """Rows (n,) away from the ends of their run, where the motor's angle a delay ago (or ahead) was recorded too."""
+        """Rows (n,) away from the ends of their stretch, where the motor's angle a delay ago (or ahead) was recorded too."""
         out = np.zeros(len(self.log), bool)
         for k, of_run in enumerate(self.splines):
-            rows = self.log.run == k
+            rows = self.piece == k
             start, end = of_run[0].x[0], of_run[0].x[-1]
             margin = min(LONGEST_DELAY, 0.05 * (end - start))
             out[rows] = (self.log.time[rows] >= start + margin) & (self.log.time[rows] <= end - margin)
         return out
 
     def motor(self, joint: int, delay: float) -> Array:
-        """Motor angle (n,) rad of a joint `delay` s before each instant; at the ends of a run the angle there."""
+        """Motor angle (n,) rad of a joint `delay` s before each instant; at the ends of a stretch the angle there."""
         return self._at(joint, delay, 0)
 
     def speed(self, joint: int, delay: float) -> Array:
@@ -74,7 +77,7 @@ class Signals:
     def _at(self, joint: int, delay: float, order: int) -> Array:
         out = np.empty(len(self.log))
         for k, of_run in enumerate(self.splines):
-            rows = self.log.run == k
+            rows = self.piece == k
             spline = of_run[joint - 1]
             at = self.log.time[rows] - delay
             out[rows] = spline(np.clip(at, spline.x[0], spline.x[-1]), order)
@@ -84,12 +87,14 @@ class Signals:
 def signals_of(log: JointLog, robot: Robot, payload: Hanging, like: Signals | None = None) -> Signals:
     """Signals of a log, thinned to `MOST` readings. The sign of the recorded torques is the one with which the joints give way
     (`load_sign`); `like`: the log without a link side that takes it from there."""
-    splines, qd, qdd, direction, rubbing = _motion(log)
+    piece = _pieces(log)
+    splines, qd, qdd, direction, rubbing = _motion(log, piece)
     measured = np.asarray(np.isfinite(log.tau).any(axis=0))
-    tau = np.where(measured, -_smoothed(log, _filled(log)), weight_torques(robot, log.q, payload.mass, payload.com))
+    tau = np.where(measured, -_smoothed(log, piece, _filled(log)), weight_torques(robot, log.q, payload.mass, payload.com))
     rows = _kept(log)
-    viscous, dry = _smoothed(log, qd)[rows], _smoothed(log, rubbing)[rows]
-    found = Signals(log.take(rows), qd[rows], qdd[rows], direction[rows], tau[rows], viscous, dry, measured, splines)
+    viscous, dry = _smoothed(log, piece, qd)[rows], _smoothed(log, piece, rubbing)[rows]
+    moves = qd[rows], qdd[rows], direction[rows], tau[rows], viscous, dry
+    found = Signals(log.take(rows), *moves, measured, piece[rows], splines)
     sign = load_sign(found) if like is None else like.sign
     return replace(found, tau=np.where(found.measured, sign * found.tau, found.tau), sign=sign)
 
@@ -114,24 +119,35 @@ def load_sign(signals: Signals) -> float:
     return -1.0 if total < 0 else 1.0
 
 
-def _motion(log: JointLog) -> tuple[tuple[tuple[CubicSpline, ...], ...], Array, Array, Array, Array]:
-    """Splines of the motor side by run, speeds, accelerations, directions of the last motion, and of friction, which turns round
-    in the middle of a rest."""
+def _pieces(log: JointLog) -> Index:
+    """Stretches (n,) of a log: a run, and anew behind a hole in its rows, over which nothing is known of the motion."""
+    step, same = np.diff(log.time), np.diff(log.run) == 0
+    usual = np.array(
+        [np.median(step[same & (log.run[1:] == k)]) if np.sum(log.run == k) > 1 else 0.0 for k in range(len(log.runs))]
+    )
+    hole = step > np.maximum(HOLE_ROWS * usual[log.run[1:]], HOLE)
+    return np.concatenate([[0], np.cumsum(~same | hole)])
+
+
+def _motion(log: JointLog, piece: Index) -> tuple[tuple[tuple[CubicSpline, ...], ...], Array, Array, Array, Array]:
+    """Splines of the motor side by stretch, speeds, accelerations, directions of the last motion, and of friction, which turns
+    round in the middle of a rest."""
     qd, qdd, direction, rubbing = (np.zeros_like(log.q) for _ in range(4))
     splines = []
-    for k in range(len(log.runs)):
-        rows = np.flatnonzero(log.run == k)
+    for k in range(piece[-1] + 1):
+        rows = np.flatnonzero(piece == k)
         time = log.time[rows]
-        if len(rows) < 4:  # a run too short to differentiate stands still
+        if len(rows) < 4:  # a stretch too short to differentiate stands still
             splines.append(tuple(CubicSpline([time[0], time[0] + 1.0], [angle, angle]) for angle in log.q[rows[0]]))
             continue
-        of_run = tuple(CubicSpline(time, log.q[rows, j]) for j in range(6))
-        splines.append(of_run)
-        qd[rows] = np.stack([s(time, 1) for s in of_run], axis=1)
+        smooth = _over(log.q[rows], time, ANGLE_WINDOW)
+        of_piece = tuple(CubicSpline(time, smooth[:, j]) for j in range(6))
+        splines.append(of_piece)
+        qd[rows] = np.stack([s(time, 1) for s in of_piece], axis=1)
         qdd[rows] = np.gradient(qd[rows], time, axis=0)
     top = np.abs(qd).max(axis=0)
-    for k in range(len(log.runs)):
-        rows = np.flatnonzero(log.run == k)
+    for k in range(piece[-1] + 1):
+        rows = np.flatnonzero(piece == k)
         sign = np.where(np.abs(qd[rows]) > RESTING_SPEED * top, np.sign(qd[rows]), 0.0)
         direction[rows] = np.stack([_held(sign[:, j]) for j in range(6)], axis=1)
         for j in np.flatnonzero(sign.any(axis=0)):
@@ -156,19 +172,25 @@ def _filled(log: JointLog) -> Array:
     return tau
 
 
-def _smoothed(log: JointLog, tau: Array) -> Array:
-    """Torques without the current's ripple, which inertia keeps from the link; it would make springs look too stiff. A cubic over
-    the window keeps the load's own course (Savitzky and Golay 1964)."""
+def _smoothed(log: JointLog, piece: Index, tau: Array) -> Array:
+    """Torques without the current's ripple, which inertia keeps from the link; it would make springs look too stiff."""
+    out = np.nan_to_num(tau)
+    for k in range(piece[-1] + 1):
+        rows = np.flatnonzero(piece == k)
+        out[rows] = _over(out[rows], log.time[rows], TORQUE_WINDOW)
+    return out
+
+
+def _over(values: Array, time: Array, window: float) -> Array:
+    """Values (n, k) without what is quicker than the window, where it has rows enough, on even instants: a cubic over it keeps
+    their course (Savitzky and Golay 1964)."""
     from scipy.signal import savgol_filter  # takes a second, which a diagnosis without encoders need not pay
 
-    out = np.nan_to_num(tau)
-    for k in range(len(log.runs)):
-        rows = np.flatnonzero(log.run == k)
-        step = float(np.median(np.diff(log.time[rows]))) if len(rows) > 1 else TORQUE_WINDOW
-        width = 2 * int(TORQUE_WINDOW / step / 2) + 1
-        if 5 <= width <= len(rows):
-            out[rows] = savgol_filter(out[rows], width, 3, axis=0)
-    return out
+    width = 2 * int(window / float(np.median(np.diff(time))) / 2) + 1 if len(time) > 1 else 1
+    if not 5 <= width <= len(time):
+        return values
+    even = np.linspace(time[0], time[-1], len(time))
+    return np.asarray(CubicSpline(even, savgol_filter(CubicSpline(time, values)(even), width, 3, axis=0))(time))
 
 
 def _kept(log: JointLog) -> Index:
