@@ -1,6 +1,7 @@
 """Link-side encoders: the log's reader, its noise, delays and springs; shrinkage and experiments on numbers alone."""
 
 import csv
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -168,9 +169,9 @@ def test_sealed_recordings_of_link_sides_are_predicted_blind(tmp_path):
     assert told["sigma"][~inside, 0].mean() > 3.0 * told["sigma"][inside, 0].mean()
 
 
-def rubbed(seed: int) -> dict:
+def rubbed(seed: int, **options) -> dict:
     """joints.csv of an arm that is as believed, whose motors' torques hold the drives' dry friction."""
-    columns = joint_columns(seed)
+    columns = joint_columns(seed, **options)
     for j, friction in ((1, 100.0), (2, 300.0), (3, 150.0)):
         columns[f"tau{j}_Nm"] = columns[f"tau{j}_Nm"] + friction * np.sign(np.gradient(columns[f"q{j}_deg"]))
     return columns
@@ -230,6 +231,17 @@ def test_whole_turns_are_taken_out(tmp_path):
     assert any("q1_deg, link1_deg jump by whole turns" in n for n in turned.notices)
     for was, now in ((plain.q, turned.q), (plain.link, turned.link)):
         assert np.allclose(np.ptp(was[:, 0] - now[:, 0]), 0.0, atol=1e-9)
+
+
+def test_a_spring_that_the_fit_takes_already_promises_nothing(tmp_path):
+    """A named spring and the believed one share their sum: what each alone is unsure by leaves nothing of the held-out errors."""
+    write_joint_folder(tmp_path, 3)
+    write_csv(tmp_path / "joints.csv", rubbed(3, compliance=6e-7))
+    channel = joint_channel(read_joint_log(tmp_path / "joints.csv"), EXTRA, PAYLOADS["grinder"], stated=True)
+    one = fresh("joint_compliance", 2)
+    named = (replace(one, scanned=one.effect.scan(2, channel.surroundings)[0]),)
+    judged = [channel.held_out(f, named) for f in channel.folds()]
+    assert from_folds(judged, 0.0).high < 0.1
 
 
 def test_effects_are_as_large_as_the_arm(tmp_path):

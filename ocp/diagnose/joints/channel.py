@@ -383,12 +383,10 @@ class JointChannel:
             return None
         bare, whole = (fitted(p, a, ~held) for a in ((), active))
         before, after = (p.without_new_zeros(c.gap()[:, 0], ~held)[held] ** 2 for c in (bare, whole))
-        noise, excused = p.scatter[held] ** 2, 0.0
-        there, delays = p.part(held), delays_of(p, whole.active)
-        for one in whole.active:
-            columns = column_of(there, one, delays)
-            excused += float(np.mean(np.einsum("ni,ij,nj->n", columns, one.covariance, columns)))
-        return HeldOut(fold, np.stack([before, after, noise]), excused)
+        there = p.part(held)
+        columns = there.nuisance.columns
+        less, more = (float(_unsure_of(c, p.part(~held), there, columns, rubs=False)[0].mean()) for c in (bare, whole))
+        return HeldOut(fold, np.stack([before, after, p.scatter[held] ** 2]), max(more - less, 0.0))
 
     def predict(self, sealed: JointLog, active: tuple[Active, ...]) -> Sealed:
         """Link angles (r, m) rad of the m joints of this channel at the instants of a log without link side; inside: where the
@@ -406,29 +404,13 @@ class JointChannel:
         told = [columns @ (place @ c.theta) + shift_of(there, c.active) for c in (bare, other)]
         baseline, corrected = (motor + shift.reshape(n, -1) for shift in told)
         noise = np.array([np.hypot(self.problem.noise[int(j)].quick, self.problem.noise[int(j)].slow) for j in joints])
-        fitted_to = other._unsure_of(there, columns @ place).reshape(n, -1)
+        variance, change = _unsure_of(other, self.problem, there, columns @ place, rubs=True)
+        fitted_to = (variance + change**2).reshape(n, -1)
         # Where nobody measured, what the effects change is not known better than by its own size.
         inside = self._inside(joints, signals)
         unsure = np.where(inside[:, None], 0.0, np.abs(corrected - baseline))
         sigma = np.sqrt(noise**2 + self._anew(joints, signals.log) ** 2 + unsure**2 + fitted_to)
         return Sealed(baseline, corrected, sigma, inside=inside)
-
-    def _unsure_of(self, there: EncoderProblem, nuisance: Array) -> Array:
-        """Variance (n,) rad^2 of what the fit predicts of `there`, nuisance (n, p) being the sensitivities of it in this
-        channel's own: of the unknowns, and of what would change if friction in recorded torques, which the fit leaves at zero,
-        were as the readings have it."""
-        system, delays, p = self.system, delays_of(self.problem, self.active), self.problem
-        sd = np.append(system.prior_sd, prior_sds(self.active))
-        offset = np.append(system.offset, coefficients(self.active))
-        known = np.isfinite(sd)
-        scale = np.where(known, sd, 1.0)
-        here = np.column_stack([system.nuisance, *(p.whitened(column_of(p, one, delays)) for one in self.active)])
-        far = np.column_stack([nuisance, *(column_of(there, one, delays) for one in self.active)]) * scale
-        U, s, Vt = np.linalg.svd(np.vstack([here * scale, np.diag(known.astype(float))]), full_matrices=False)
-        told = s > RANK * s[0]
-        modes = far @ (Vt[told].T / s[told])
-        step = U[:, told].T @ np.append(system.residual, np.where(known, -offset / scale, 0.0))
-        return np.asarray(np.sum(modes**2, axis=1) + (modes @ step) ** 2)
 
     def _inside(self, joints: Index, signals: Signals) -> NDArray[np.bool_]:
         """Rows (n,) in which angle and speed of all joints lie where this channel's log has them."""
@@ -447,6 +429,33 @@ class JointChannel:
         return np.asarray(unknown[log.run][:, None] * spread)
 
 
+def rubbing(nuisance: EncoderNuisance) -> NDArray[np.bool_]:
+    """Which (p,) are friction in recorded torques: the evidence allows for them, the fit leaves them at zero."""
+    return np.array([name.split()[0] in FRICTION_SD for name in nuisance.names])
+
+
+def _unsure_of(
+    at: JointChannel, known: EncoderProblem, there: EncoderProblem, nuisance: Array, rubs: bool
+) -> tuple[Array, Array]:
+    """Of what a fit to the readings `known` predicts of `there`, with sensitivities nuisance (n, p) in that fit's own: variance
+    (n,) rad^2 of the unknowns, all together, and change (n,) rad to come; `rubs`: if friction were as the readings have it."""
+    own, delays, active = known.nuisance, delays_of(known, at.active), at.active
+    there_is = np.where(rubbing(own), float(rubs), 1.0)
+    sd = np.append(own.sd, prior_sds(active))
+    offset = np.append(at.theta - own.mean, coefficients(active))
+    held = np.isfinite(sd)
+    scale = np.where(held, sd, 1.0)
+    left = known.measured - own.columns @ at.theta - shift_of(known, active)
+    here = np.column_stack([left, own.columns * there_is, *(column_of(known, one, delays) for one in active)])
+    white = known.whitened(here)
+    far = np.column_stack([nuisance * there_is, *(column_of(there, one, delays) for one in active)]) * scale
+    U, s, Vt = np.linalg.svd(np.vstack([white[:, 1:] * scale, np.diag(held.astype(float))]), full_matrices=False)
+    told = s > RANK * s[0]
+    modes = far @ (Vt[told].T / s[told])
+    step = U[:, told].T @ np.append(white[:, 0], np.where(held, -offset / scale, 0.0))
+    return np.sum(modes**2, axis=1), modes @ step
+
+
 def fitted(problem: EncoderProblem, active: tuple[Active, ...], rows: NDArray[np.bool_]) -> JointChannel:
     """The channel of all readings with the nuisance and the effects' values, with their covariance, that fit those of a mask
     best."""
@@ -456,8 +465,7 @@ def fitted(problem: EncoderProblem, active: tuple[Active, ...], rows: NDArray[np
     sd = np.append(nuisance.sd, prior_sds(active))
     known = np.isfinite(sd)
     scale = np.where(known, sd, 1.0)
-    allowed = np.array([name.split()[0] in FRICTION_SD for name in nuisance.names])
-    columns = np.where(allowed, 0.0, nuisance.columns)
+    columns = np.where(rubbing(nuisance), 0.0, nuisance.columns)
     moving = any(one.effect.name == DELAY for one in active)
     start = _Point(part, mean[:p], active, mean, scale, columns, part.whitened(columns))
     found = minimise(start, known.astype(float), Rule(STEPS if moving else 1, rank=RANK))
