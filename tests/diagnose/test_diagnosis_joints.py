@@ -244,6 +244,15 @@ def test_a_spring_that_the_fit_takes_already_promises_nothing(tmp_path):
     assert from_folds(judged, 0.0).high < 0.1
 
 
+def test_few_wild_samples_are_no_wrong_unit(tmp_path):
+    columns = joint_columns(2, delay=4e-3)
+    columns["link2_deg"] = np.asarray(columns["link2_deg"]) + 20.0 * (np.arange(len(columns["time_s"])) % 150 == 6)
+    write_csv(tmp_path / "joints.csv", columns)
+    channel = joint_channel(read_joint_log(tmp_path / "joints.csv"), EXTRA, PAYLOADS["grinder"])
+    assert any("far off their neighbours and not counted" in n for n in channel.problem.notices)
+    assert channel.with_active((fresh("channel_delay", 0),)).gap().std() * SCALE["arcsec"] < 1.3
+
+
 def test_effects_are_as_large_as_the_arm(tmp_path):
     """What is usual of a spring or of play under load goes by the believed arm's torques, as for a tracker."""
     write_csv(tmp_path / "joints.csv", joint_columns(3))

@@ -20,6 +20,7 @@ MOVED = np.radians(1.0)  # rad: an axis that travelled less did not move
 FAR, ALIKE, SHARED = 0.3, 0.3, 0.7  # of the largest step; of their median; of steps: a unit is the same for all
 OTHER_SPEED = 10.0  # times; a slow filter of speeds is nearer, other units farther apart
 SLOW = 1.0  # s between rows, from which times may well be milliseconds
+WILD = 0.05  # of the rows: a unit or a sign is wrong in many, few wild ones are not counted
 APART = np.radians(8.0)  # rad of wander between the two sides: more than any gear or delay, so another unit or sign
 
 
@@ -120,7 +121,7 @@ def _check_link(table: CsvTable, q: Array, link: Array) -> None:
         off = off - np.median(off)
         limit = max(APART, 0.5 * np.ptp(q[known, j])) if np.ptp(q[known, j]) < 2 * APART else APART
         worst = int(np.argmax(np.abs(off)))
-        if np.abs(off[worst]) > limit:
+        if np.mean(np.abs(off) > limit) > WILD:
             slope = np.polyfit(q[known, j], link[known, j], 1)[0]
             how = "counts the other way" if slope < 0 else f"moves {slope:.3g} deg a degree of the motor side"
             raise table.refuse(
