@@ -114,7 +114,7 @@ def _calibrated(
         with phases.phase("contact"):
             # Registered by the arm as it will be planned with, which bends where the readings say.
             bending = replace(with_calibration(ground[0], calibration), calibration=None)
-            fit = fit_force(bending, without_ramps(ground[1]), calibration)
+            fit = fit_force(bending, without_ramps(ground[1], bending.flange is not None), calibration)
             refuse_other_force(bending, fit)
         calibration, extra = fit.calibration(calibration), contact_sections(fit)
     return write_tracker_calibration(made, calibration, extra, output, phases, inputs)

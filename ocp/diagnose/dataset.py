@@ -99,7 +99,7 @@ def read_data_set(folder: str | Path, columns: Path | None = None) -> DataSet:
         cell = _grinding_cell(folder, setup.tables)
         log = read_force_log(folder / FORCE, mapping=mapping)
         refuse_force_unit(log, cell)
-        log = without_ramps(log)
+        log = without_ramps(log, cell.flange is not None)
         refuse_few_rows(log)
     if JOINTS in found:
         joints = read_joint_log(folder / JOINTS, mapping)

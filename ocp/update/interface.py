@@ -190,7 +190,7 @@ def update(
         if "flange" in parts and believed.flange is None:
             raise BadInput(f"--changed flange: {cell_file} has no [force_flange]; leave it out")
         history = history_of(believed.calibration, cell_file)
-        mark = log_mark(without_ramps(log))
+        mark = log_mark(without_ramps(log, believed.flange is not None))
         if is_known(mark, history.logs) or sha256(log_file) in history.logs:
             raise BadInput(f"{log_file}: an earlier update used recordings of this log; give the log of the blade ground since")
         if is_known(mark, [_force_told(believed.calibration).get(RECORDINGS, "")]) or _made_from(believed.calibration, log_file):
@@ -230,9 +230,10 @@ def updated(
     before = changed_state(last_state(cell), cell, parts)
     since = now - (float(clock.min()) if holds is None else holds)
     expected = carried_on(before, since, int(history.holds is None), wheel.stood)
-    kept = steady_rows(log)
+    flange = cell.flange is not None
+    kept = steady_rows(log, flange)
     still = replace(setup, rows=(setup.rows[0].take(kept),))
-    fit, verdict = _fitted(cell, without_ramps(log), still, expected, (now - clock)[kept])
+    fit, verdict = _fitted(cell, without_ramps(log, flange), still, expected, (now - clock)[kept])
     if not verdict.possible:
         raise Infeasible(_impossible(log, fit, verdict, parts))
     found = fit.calibration(expected)

@@ -301,24 +301,26 @@ def ramped(feeds, **columns):
 def test_rows_of_touch_and_lift_are_left_out_and_told(tmp_path):
     """From either end until three quarters of the usual largest feed, and 0.08 s more; a pause inside a pass is a finding."""
     feeds = [0.0, 5.0, 20.0, 31.0, 40.0, 40.0, 40.0, 10.0, 40.0, 40.0, 40.0, 40.0, 28.0, 9.0, 0.0]
-    kept = without_ramps(read(tmp_path, ramped(feeds)))
+    kept = without_ramps(read(tmp_path, ramped(feeds)), True)
     assert [round(t / 0.05) for t in kept.time] == [0, 5, 6, 7, 8, 9, 14]
     assert kept.notices[-1].startswith("force.csv: 8 rows in which blade and wheel meet and part were left out")
     slow = read(tmp_path, ramped([5.0] * 8))  # as slow throughout, or already in full feed at its ends: nothing to leave out
-    assert without_ramps(slow) is slow
+    assert without_ramps(slow, True) is slow
+    rigid = read(tmp_path, ramped(feeds))  # no flange that moves: what is pressed while the feed rises is pressed at rest too
+    assert without_ramps(rigid, False) is rigid
 
 
 def test_without_a_feed_the_points_tell_it(tmp_path):
     way = np.cumsum([0.0, 0.1, 0.4, 0.7, 1.6, 1.6, 1.6, 1.6, 1.6, 1.6, 1.6, 0.6, 0.1])
     table = [{**ROW, "time_s": 0.05 * k, "pz_mm": s} for k, s in enumerate(way)]
-    assert [round(t / 0.05) for t in without_ramps(read(tmp_path, table)).time] == [6, 7]
+    assert [round(t / 0.05) for t in without_ramps(read(tmp_path, table), True).time] == [6, 7]
     still = [{**row, "time_s": 0.0} for row in table]
-    assert len(without_ramps(read(tmp_path, still))) == len(still)
+    assert len(without_ramps(read(tmp_path, still), True)) == len(still)
 
 
 def test_a_log_of_nothing_but_touch_and_lift_is_refused(tmp_path):
     with pytest.raises(BadInput, match="column feed_mm_s: no run keeps its feed for longer than wheel and blade take"):
-        without_ramps(read(tmp_path, ramped([5.0, 20.0, 40.0, 20.0, 5.0])))
+        without_ramps(read(tmp_path, ramped([5.0, 20.0, 40.0, 20.0, 5.0])), True)
 
 
 @pytest.mark.parametrize(("factor", "unit"), [(1e3, "milliseconds"), (1 / 60, "minutes"), (1 / 3600, "hours")])

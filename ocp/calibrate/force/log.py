@@ -198,12 +198,12 @@ def is_known(mark: str, marks: Iterable[str]) -> bool:
     return any(len(mine & {*one.split()}) >= min(2, len(mine), len(one.split())) for one in marks if one)
 
 
-def steady_rows(log: ForceLog) -> Flags:
+def steady_rows(log: ForceLog, flange: bool) -> Flags:
     """The rows (n,) of a log but those in contact where wheel and blade meet and part: from either end of a run until STEADY of
     its usual largest feed is reached, and SETTLING more. There the flange moves, and its mass, friction and late pressure make
-    another force than the balance at rest that calibrations rest on."""
+    another force than the balance at rest that calibrations rest on; without a `flange` only the arm moves, and all are kept."""
     kept = np.ones(len(log), bool)
-    for run in np.unique(log.run[log.contact]):
+    for run in np.unique(log.run[log.contact]) if flange else ():
         at = np.flatnonzero((log.run == run) & log.contact)
         feed, time = _feed(log, at), log.time[at]
         fast = np.flatnonzero(feed >= STEADY * np.percentile(feed, 90))
@@ -227,7 +227,7 @@ def refuse_force_unit(log: ForceLog, cell: Cell) -> None:
     much less than what was asked for, row by row where the log says it, as another unit makes it."""
     wanted = cell.flange.setpoint if cell.flange is not None else cell.process.force
     own = log.setpoint if log.setpoint_sd is None else None
-    steady = log.contact & steady_rows(log)
+    steady = log.contact & steady_rows(log, cell.flange is not None)
     if not steady.any():
         steady = log.contact
     pressed = log.fn[steady]
@@ -273,9 +273,9 @@ def refuse_force_unit(log: ForceLog, cell: Cell) -> None:
         )
 
 
-def without_ramps(log: ForceLog) -> ForceLog:
+def without_ramps(log: ForceLog, flange: bool) -> ForceLog:
     """The log without the rows that `steady_rows` leaves out. Raises BadInput: none in contact is left."""
-    kept = steady_rows(log)
+    kept = steady_rows(log, flange)
     if kept.all():
         return log
     if not (kept & log.contact).any():
