@@ -190,8 +190,12 @@ def predict_sealed(answer: Answer) -> dict[str, Sealed]:
         for one in gathered(others, least):
             if one.probability >= least and (other := prediction(channel, sealed, one)) is not None:
                 made.append((one.probability, other))
-        same = effects_key(told[0].active) == effects_key(answer.written)
-        written = beside_others(made[0][1] if same else channel.predict(sealed, answer.written), made)
+        # Both as they were fitted, each with the readings that it sets aside: the baseline, and the cell that is written.
+        baseline, kept = (
+            next(c for c in some if c.name == signal).predict(sealed, active)
+            for some, active in ((answer.diagnosis.baseline, ()), (answer.fitted, answer.written))
+        )
+        written = replace(beside_others(kept, made), baseline=baseline.corrected)
         found[signal] = replace(written, named=made[0][1].corrected, beyond=told_beyond(answer.data, signal, sealed))
         if answer.unknown is not None and signal == answer.unknown.after.name:
             found[signal] = beside_unknown(found[signal], answer.unknown, sealed, told)

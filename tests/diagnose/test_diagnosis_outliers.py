@@ -1,15 +1,20 @@
 """Gross readings that an effect takes back."""
 
+import csv
 from dataclasses import replace
 
 import numpy as np
 
+from ocp.diagnose.answering import answer_of, predict_sealed
 from ocp.diagnose.engine.findings import Name, Options
 from ocp.diagnose.engine.linearisation import linearised
 from ocp.diagnose.engine.search import outliers_rechecked
 from ocp.diagnose.rules import OUTLIERS_OF_ONE_CAUSE
 from ocp.diagnose.verdict.diagnosis import diagnose_channels
+from ocp.shell.progress import Phases
 from tests.diagnose.test_diagnosis_tracker import LIBRARY, channel, world
+from tests.support.diagnosis_folder import write_csv, write_tracker_folder
+from tests.support.simulated_campaign import campaign_readings, random_truth
 
 SHIFT = np.array([4e-4, -2e-4, 3e-4])
 OPTIONS = Options(folds=False)
@@ -53,3 +58,27 @@ def test_readings_of_moving_air_have_tails_and_others_none():
         assert tails.rows == slice(0, 3 * n) and len(tails.starts) == n
         gains.append(pool.plain)
     assert gains[0] == 0.0 and gains[1] > 5.0
+
+
+def test_what_is_predicted_is_the_cell_that_is_written(tmp_path):
+    """A nest was moved early: the baseline sets the readings before it aside and is right; fitted anew with them it is not."""
+    truth = write_tracker_folder(tmp_path, 3)
+    rows, asked = (
+        list(csv.DictReader((tmp_path / name).read_text().splitlines())) for name in ("tracker.csv", "sealed_tracker.csv")
+    )
+    rng = np.random.default_rng(3)
+    arm, readings = random_truth(rng, joint_noise=4e-6), campaign_readings(rng, len(rows))
+    before = replace(arm, nests=arm.nests | {"T2": arm.nests["T2"] + SHIFT})
+    changed = 1e3 * (before.points(readings) - arm.points(readings))
+    for i, row in enumerate(rows):
+        row["time_s"] = 60 * i
+        for k, column in enumerate(("x_mm", "y_mm", "z_mm")):
+            row[column] = float(row[column]) + changed[i, k] * (i < 25)
+    write_csv(tmp_path / "tracker.csv", {c: [r[c] for r in rows] for c in rows[0]})
+    asked = [row | {"time_s": 60 * (len(rows) + i)} for i, row in enumerate(asked)]
+    write_csv(tmp_path / "sealed_tracker.csv", {c: [r[c] for r in asked] for c in asked[0]})
+    answer = answer_of(tmp_path, Phases())
+    assert [a.effect.name for a in answer.diagnosis.active] == ["target_shift"] and not answer.written
+    told = predict_sealed(answer)["tracker"]
+    assert np.array_equal(told.corrected, told.baseline)
+    assert np.abs(told.corrected - truth).max() < 1e-4
