@@ -609,6 +609,14 @@ TORQUE_WINDOW = 0.4
 """[s] Over which recorded torques are smoothed. Guards: springs against the current's ripple, which inertia keeps from the link.
 Reason: none is known; a cubic over it keeps the load's own course."""
 
+ANGLE_WINDOW = 0.05
+"""[s] Over which motor angles are smoothed. Guards: speeds, and delays with them, against an angle's last digit: 0.001 deg at
+1 kHz is 1 deg/s. Reason: none is known; no axis of a large arm follows 20 Hz."""
+
+HOLE, HOLE_ROWS = 0.4, 10
+"""[s, steps] Without rows, both, after which a recording begins anew. Guards: friction and gears against speeds that a spline
+makes of a hole. Reason: TORQUE_WINDOW; ten lost rows are a spline's business."""
+
 RESTING_SPEED = 0.02
 """[-] Of a joint's top speed, below which its direction is that of the motion before. Guards: play and friction against the noise
 of a joint at rest. Reason: none is known."""

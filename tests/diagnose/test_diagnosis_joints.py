@@ -253,6 +253,16 @@ def test_few_wild_samples_are_no_wrong_unit(tmp_path):
     assert channel.with_active((fresh("channel_delay", 0),)).gap().std() * SCALE["arcsec"] < 1.3
 
 
+@pytest.mark.parametrize("share", [1e-3, 1 / 250, 1e3])
+def test_torques_in_another_unit_are_refused(tmp_path, share):
+    """In kN m springs were nothing, and play on the side of the load, certain and absurd, was named and written."""
+    columns = joint_columns(2)
+    columns |= {name: share * np.asarray(columns[name]) for name in ("tau1_Nm", "tau2_Nm", "tau3_Nm")}
+    write_csv(tmp_path / "joints.csv", columns)
+    with pytest.raises(BadInput, match="column tau2_Nm: .* where the arm's weight alone takes .* link side of the gear"):
+        joint_channel(read_joint_log(tmp_path / "joints.csv"), EXTRA, PAYLOADS["grinder"])
+
+
 def test_effects_are_as_large_as_the_arm(tmp_path):
     """What is usual of a spring or of play under load goes by the believed arm's torques, as for a tracker."""
     write_csv(tmp_path / "joints.csv", joint_columns(3))

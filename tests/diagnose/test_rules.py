@@ -41,7 +41,7 @@ ELSEWHERE = {
     "document.py": {"SUM_TOLERANCE"},
     "verdict/location.py": {"ORDERS"},
     "joints/channel.py": {"RANK"},
-    "joints/log.py": {"MOVED", "APART", "OTHER_SPEED", "SLOW", "FAR", "ALIKE", "SHARED"},
+    "joints/log.py": {"MOVED", "APART", "OTHER_SPEED", "SLOW", "FAR", "ALIKE", "SHARED", "WILD", "OTHER_TORQUE", "HEAVY"},
     "tracker/channel.py": {"LEVERAGE"},
     "tracker/refit.py": {"SETTLED", "RANK"},
 }

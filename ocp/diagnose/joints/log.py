@@ -20,6 +20,8 @@ MOVED = np.radians(1.0)  # rad: an axis that travelled less did not move
 FAR, ALIKE, SHARED = 0.3, 0.3, 0.7  # of the largest step; of their median; of steps: a unit is the same for all
 OTHER_SPEED = 10.0  # times; a slow filter of speeds is nearer, other units farther apart
 SLOW = 1.0  # s between rows, from which times may well be milliseconds
+OTHER_TORQUE = 30.0  # times: between 1 and a gear's ratio
+HEAVY = 100.0  # N m: less may be the arm's friction, or a mass that is not known
 WILD = 0.05  # of the rows: a unit or a sign is wrong in many, few wild ones are not counted
 APART = np.radians(8.0)  # rad of wander between the two sides: more than any gear or delay, so another unit or sign
 
@@ -92,6 +94,19 @@ def read_joint_log(path: str | Path, mapping: ColumnMapping = OURS, sealed: bool
             "record a motion"
         )
     return replace(log, notices=(*log.notices, *_notices(table, log)))
+
+
+def refuse_torque_unit(log: JointLog, weight: Array) -> None:
+    """Raises BadInput: torques of joint 2 or 3 that are far from all that the arm's weight (n, 6) N m asks for, as in another
+    unit or on the motor's side of the gear."""
+    for j in (1, 2):
+        known = np.isfinite(log.tau[:, j])
+        told, asked = (float(np.sqrt(np.mean(v[known, j] ** 2))) if known.any() else 0.0 for v in (log.tau, weight))
+        if told > 0 and asked > HEAVY and not 1.0 / OTHER_TORQUE < told / asked < OTHER_TORQUE:
+            raise BadInput(
+                f"{log.path}, column {TORQUE[j]}: {told:.3g} N m (rms) where the arm's weight alone takes {asked:.3g}; give N m "
+                "at the link side of the gear"
+            )
 
 
 def _columns(table: CsvTable, names: tuple[str, ...]) -> Array:

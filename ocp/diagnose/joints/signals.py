@@ -16,15 +16,23 @@ from scipy.interpolate import CubicSpline
 from scipy.linalg import cho_factor, solve_triangular
 from scipy.optimize import minimize
 
-from ocp.diagnose.joints.log import JointLog
-from ocp.diagnose.rules import ENCODER_ACCURACY, LEAST_ENCODER_NOISE, LONGEST_DELAY, RECORDING_FAULT, RESTING_SPEED, TORQUE_WINDOW
+from ocp.diagnose.joints.log import JointLog, refuse_torque_unit
+from ocp.diagnose.rules import (
+    ANGLE_WINDOW,
+    ENCODER_ACCURACY,
+    HOLE,
+    HOLE_ROWS,
+    LEAST_ENCODER_NOISE,
+    LONGEST_DELAY,
+    RECORDING_FAULT,
+    RESTING_SPEED,
+    TORQUE_WINDOW,
+)
 from robots.gravity import weight_torques
 from robots.pose import Array
 from robots.robot import Robot
 from robots.tracker_readings import Hanging, Index
 
-HOLE, HOLE_ROWS = 0.4, 10  # s, and usual steps: a longer one between two rows is a hole
-ANGLE_WINDOW = 0.05  # s over which motor angles are smoothed: their last digit must not pass for speed
 MOST = 1500  # readings kept of a log: more of them are no more independent, and the search is linear in them
 
 
@@ -86,11 +94,13 @@ class Signals:
 
 def signals_of(log: JointLog, robot: Robot, payload: Hanging, like: Signals | None = None) -> Signals:
     """Signals of a log, thinned to `MOST` readings. The sign of the recorded torques is the one with which the joints give way
-    (`load_sign`); `like`: the log without a link side that takes it from there."""
+    (`load_sign`); `like`: the log without a link side that takes it from there. Raises BadInput: torques in another unit."""
     piece = _pieces(log)
     splines, qd, qdd, direction, rubbing = _motion(log, piece)
     measured = np.asarray(np.isfinite(log.tau).any(axis=0))
-    tau = np.where(measured, -_smoothed(log, piece, _filled(log)), weight_torques(robot, log.q, payload.mass, payload.com))
+    weight = weight_torques(robot, log.q, payload.mass, payload.com)
+    refuse_torque_unit(log, weight)
+    tau = np.where(measured, -_smoothed(log, piece, _filled(log)), weight)
     rows = _kept(log)
     viscous, dry = _smoothed(log, piece, qd)[rows], _smoothed(log, piece, rubbing)[rows]
     moves = qd[rows], qdd[rows], direction[rows], tau[rows], viscous, dry
