@@ -15,6 +15,7 @@ from ocp.diagnose.engine.findings import Name
 from ocp.diagnose.joints.channel import joint_channel
 from ocp.diagnose.joints.log import read_joint_log
 from ocp.diagnose.joints.signals import BLOCK, EncoderNoise, covariance, factors, whiten_blocks
+from ocp.diagnose.report.verdict_sentence import verdict_sentence
 from ocp.diagnose.verdict.diagnosis import diagnose_channels
 from ocp.diagnose.verdict.shrinkage import from_folds, realised
 from ocp.effects.catalogue import library
@@ -193,6 +194,7 @@ def test_friction_in_recorded_torques_is_in_the_sigma(tmp_path):
     truth = np.stack([np.asarray(other.pop(name)) for name in ("link1_deg", "link2_deg", "link3_deg")], axis=1)
     write_csv(tmp_path / "sealed_joints.csv", other)
     answer = answer_of(tmp_path, Phases())
+    assert "arcsec (noise" in verdict_sentence(answer) and "recorded torques hold friction" in verdict_sentence(answer)
     told = predict_sealed(answer)["joint"]
     z = ((np.radians(truth) - told.corrected) / np.hypot(told.sigma, 5e-6))[told.inside]
     assert 0.6 < np.sqrt(np.mean(z**2)) < 1.5

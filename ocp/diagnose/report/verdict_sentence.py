@@ -146,7 +146,8 @@ def verdict_sentence(answer: Answer) -> str:
     """What the gap is explained by, how far that is settled, how much of the gap goes with it."""
     d = answer.diagnosis
     if d.verdict == "no_gap":
-        left = _still(answer) or ": what is left is what instruments and repeatability make"
+        besides = "; encoders wander, and recorded torques hold friction" if any(g.name == "joint" for g in answer.gaps) else ""
+        left = _still(answer) or f": what is left is what instruments and repeatability make{besides}"
         return f"{_levels(answer)}{left}. Sure to {percent(d.p_none)}."
     if told_as(d) == "unexplained":
         chance = f"the chance that it is one outside is {percent(d.p_unknown)}"
