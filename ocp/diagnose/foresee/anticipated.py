@@ -29,9 +29,9 @@ from ocp.diagnose.verdict.shrinkage import (
     NewReadings,
     Shrinkage,
     estimation_variance,
+    fold_kind,
     from_folds,
     from_model,
-    kind_of,
     promised_by_kind,
     promised_later,
     realised,
@@ -66,8 +66,8 @@ def signal_gap(diagnosis: Diagnosis, before: Channel, after: Channel, sealed: An
 
 def _alike(held: Sequence[HeldOut], kinds: Sequence[str]) -> tuple[str, ...]:
     """`kinds` and those that the same left-out readings stand for: of these one alone has a promise."""
-    same = {h.fold.held.tobytes() for h in held if kind_of(h) in kinds}
-    return tuple(dict.fromkeys([*kinds, *(kind_of(h) for h in held if h.fold.held.tobytes() in same)]))
+    same = {h.fold.held.tobytes() for h in held if fold_kind(h) in kinds}
+    return tuple(dict.fromkeys([*kinds, *(fold_kind(h) for h in held if h.fold.held.tobytes() in same)]))
 
 
 def _beyond_measured(channel: Channel, sealed: Any) -> tuple[str, ...]:

@@ -153,7 +153,7 @@ ANOTHER_DAY = "another day"
 KINDS = {"joint range": "another region", "time": "later", "station": "another session"}  # others after what was left out
 
 
-def kind_of(held: HeldOut) -> str:
+def fold_kind(held: HeldOut) -> str:
     """What new data are like that one fold stands for."""
     return KINDS.get(held.fold.kind, f"another {held.fold.kind}")
 
@@ -170,7 +170,7 @@ def promised_by_kind(held: Sequence[HeldOut]) -> dict[str, Shrinkage]:
             and seen.setdefault(h.fold.held.tobytes(), h) is h
             and realised(h.before, h.after, h.noise) is not None
         ):
-            groups.setdefault(kind_of(h), []).append(h)
+            groups.setdefault(fold_kind(h), []).append(h)
     rng = np.random.default_rng(0)
     drawn = {
         kind: np.concatenate([_drawn(rng, [h], h.estimation, DRAWS // len(some)) for h in some]) for kind, some in groups.items()
