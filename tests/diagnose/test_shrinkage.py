@@ -16,7 +16,7 @@ from ocp.diagnose.engine.evidence import project
 from ocp.diagnose.engine.findings import Alternative, Diagnosis, Explanation, Name, Options
 from ocp.diagnose.engine.linearisation import linearised
 from ocp.diagnose.engine.pool import Member, make_pool
-from ocp.diagnose.foresee.anticipated import _alike, _beyond_measured, anticipated, signal_gap
+from ocp.diagnose.foresee.anticipated import _beyond_measured, _with_same_readings, anticipated, signal_gap
 from ocp.diagnose.rules import BACKGROUND_SIZES, NO_BACKGROUND, NO_OTHER_RIPPLE
 from ocp.diagnose.tracker.background import DRAWS, _line, _Waves, _weights, _with_further, background
 from ocp.diagnose.tracker.channel import TrackerChannel
@@ -390,7 +390,7 @@ def test_what_is_asked_for_is_held_to_the_same_readings_under_another_name():
     left_out = (("temperature", 270), ("time", 270), ("payload", 300))
     every = [replace(held(4.0, 5.0), fold=Fold(kind, kind, np.arange(400) >= n)) for kind, n in left_out]
     assert set(promised_by_kind(every)) == {"another temperature", "another payload"}
-    assert _alike(every, ("later",)) == ("later", "another temperature") and _alike(every, ()) == ()
+    assert _with_same_readings(every, ("later",)) == ("later", "another temperature") and _with_same_readings(every, ()) == ()
 
 
 def test_conditions_are_later_or_warmer_where_most_of_them_are():
@@ -561,6 +561,8 @@ def test_a_promise_says_whether_it_is_for_the_conditions_asked_for(monkeypatch):
     assert not general.asked and not told(doubt, lacking).asked and told(doubt, lacking).shrinkage is not None
     assert told(sure, asked).shrinkage != general.shrinkage
     assert told(sure, asked).asked and not general.asked
+    later = replace(asked, time=asked.time + 2.0 * np.ptp(before.readings.time))
+    assert told(sure, later).beyond == ("later",) and told(sure, asked).beyond == () == general.beyond
     # An effect that no reading of this signal shows asks for nothing here.
     shift = LIBRARY["tool_frame_shift"]
     moved = Active(shift, 0, np.zeros(shift.size), {"at_s": 0.0}, np.zeros((shift.size, shift.size)))

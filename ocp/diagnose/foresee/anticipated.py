@@ -60,11 +60,11 @@ def signal_gap(diagnosis: Diagnosis, before: Channel, after: Channel, sealed: An
     left = remaining(after, diagnosis.left_over)
     left = Remaining(scale * left.above_noise, left.p_value)
     figures = before.name, before.unit, after.noise_floor, sizes[0], sizes[1]
-    beyond = _alike(held, _beyond_measured(after, sealed)) if asked else ()
+    beyond = _with_same_readings(held, _beyond_measured(after, sealed)) if asked else ()
     return SignalGap(*figures, shrinkage, promise, told, left, before, after, asked, beyond, shown)
 
 
-def _alike(held: Sequence[HeldOut], kinds: Sequence[str]) -> tuple[str, ...]:
+def _with_same_readings(held: Sequence[HeldOut], kinds: Sequence[str]) -> tuple[str, ...]:
     """`kinds` and those that the same left-out readings stand for: of these one alone has a promise."""
     same = {h.fold.held.tobytes() for h in held if fold_kind(h) in kinds}
     return tuple(dict.fromkeys([*kinds, *(fold_kind(h) for h in held if h.fold.held.tobytes() in same)]))
