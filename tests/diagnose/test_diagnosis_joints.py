@@ -143,8 +143,8 @@ def test_two_recordings_with_a_zero_set_anew_give_the_lag_that_each_alone_gives(
     channel = joint_channel(data.joints, data.setup.robot, data.payload)
     best = diagnose_channels([channel], library()).ranking[0]
     assert best.name == Name("channel_delay", 0) and best.probability > 0.99
-    # Companions that these recordings leave open (a coupled or rippled joint 1) move it by less than half of its sd.
-    assert 2.81e-3 < best.active.a[0] < 2.93e-3
+    # Companions that these recordings leave open (a coupled or rippled joint 1) move it by a quarter of its sd at most.
+    assert 2.835e-3 < best.active.a[0] < 2.895e-3
 
 
 def test_sealed_recordings_of_link_sides_are_predicted_blind(tmp_path):
