@@ -18,7 +18,7 @@ from robots.calibration.identifiability import Identifiability, described, ident
 from robots.calibration.layout import Choice, Layout, State, nominal_state
 from robots.calibration.load_tests import LoadTest, load_test
 from robots.calibration.methods import METHODS, before, calibrate_by
-from robots.calibration.mistakes import refuse_mistakes, refuse_units
+from robots.calibration.mistakes import refuse_loads, refuse_mistakes, refuse_units
 from robots.calibration.noise import Repeats, repeat_scatter
 from robots.calibration.parameters import BASE_NAMES
 from robots.calibration.reading_model import ARM_NAMES, PAYLOAD_NAMES
@@ -148,6 +148,7 @@ def _calibrate(tracker: Path, cell: Path, method: str, phases: Phases, mapping: 
         for _ in range(EFFECTS_TWICE if believed else 0):
             campaign = without_effects(replace(campaign, readings=readings), first.state, believed, warm)
             first = fit_campaign(campaign, choice, begin=first.state)
+        refuse_loads(first)
         first = fit_learned(first)
     with phases.phase("terms"):
         chosen, terms = choose_terms(first) if method == "full" else (choice, [])

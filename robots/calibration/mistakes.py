@@ -6,11 +6,12 @@ was handed in does not fit and a guess does, the sentence names it.
 
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from robots.calibration.fit import located, robust_motion
+from robots.calibration.fit import Fit, fit_campaign, located, robust_motion
 from robots.calibration.layout import Choice, nominal_state
 from robots.calibration.residuals import residuals
 from robots.calibration.solver import Campaign
@@ -29,7 +30,17 @@ FREE_NEST = 0.1  # m; a nest so loosely held is found where it is
 IS_ANGLE = np.array([True, False, False, True, True])  # of a row of MD-H
 ROWS = 400  # readings looked at; more would say the same
 WRONG_SHARE = 0.2  # of readings that may be far off before the file is refused
+LOADS_FIT = 0.3  # of what the loaded readings are off, as another reading of their loads leaves it: then that one is meant
 SCALES = {1e3: "metres", 1e-3: "micrometres", 25.4: "inches", 10.0: "centimetres"}  # mm
+
+LOADS = {  # what fx_N to mz_Nm were meant as, and by what they are to be multiplied
+    "the loads are in kilonewtons and kN m, not N and N m": np.array(6 * [1e3]),
+    "the loads are in millinewtons and N mm, not N and N m": np.array(6 * [1e-3]),
+    "the loads are in kilograms-force (or decanewtons), not newtons": np.array(6 * [9.80665]),
+    "the loads are in pounds-force and lbf ft, not N and N m": np.array(3 * [4.44822] + 3 * [1.35582]),
+    "the moments of the loads are in N mm, not N m": np.array(3 * [1.0] + 3 * [1e-3]),
+    "the loads point the other way: write what pulls at the robot, not what it pulls with": np.array(6 * [-1.0]),
+}
 
 
 def refuse_mistakes(campaign: Campaign) -> None:
@@ -65,6 +76,25 @@ def refuse_mistakes(campaign: Campaign) -> None:
         f"{thin.readings.line[worst]}; check axis angles (degrees, KUKA signs), units (mm), robot.model '{campaign.robot.name}', "
         f"that rows belong together{nest}, and that one place of the tracker saw them all (else name it in the column station)"
     )
+
+
+def refuse_loads(fit: Fit) -> None:
+    """Raises BadInput where external loads or payloads, read otherwise, let the calibrated arm meet its readings several times
+    nearer: what they bend it by is a millimetre, less than any arm that is not calibrated is off by."""
+    readings, where = fit.campaign.readings, str(fit.campaign.readings.path)
+    plain = None
+    for rows, text, meant in _other_loads(fit.campaign):
+        off = float(np.median(np.linalg.norm(fit.residual[rows, :3], axis=1)))
+        again = fit_campaign(replace(fit.campaign, readings=meant), fit.choice, fit.priors, begin=fit.start)
+        left = float(np.median(np.linalg.norm(again.residual[rows, :3], axis=1)))
+        if left < LOADS_FIT * off and (plain is None or left < plain[0]):
+            plain = left, off, int(readings.line[rows[0]]), text
+    if plain is not None:
+        left, off, line, text = plain
+        raise BadInput(
+            f"{where}, from line {line} on: {text}; so read, the readings under load are met within {left * 1e3:.2g} mm "
+            f"instead of {off * 1e3:.2g} mm (median); correct the file"
+        )
 
 
 def misfit(campaign: Campaign) -> tuple[float, Array]:
@@ -300,6 +330,25 @@ def _guesses(campaign: Campaign) -> Iterator[tuple[str, Campaign]]:
         yield f"the robot file's geometry {text}", replace(campaign, robot=replace(campaign.robot, mdh=mdh))
     for name, robot in _variants(campaign.robot):
         yield f"the robot is a '{name}', not a '{campaign.robot.name}'", replace(campaign, robot=robot)
+
+
+def _other_loads(campaign: Campaign) -> Iterator[tuple[Index, str, Readings]]:
+    """Readings with loads as each mistake would have made them right: whom it concerns, and the sentence that names it."""
+    readings = campaign.readings
+    rows = np.flatnonzero(np.abs(readings.load).max(axis=1) > 0)
+    if len(rows):
+        for text, factors in LOADS.items():
+            yield rows, text, replace(readings, load=readings.load * factors)
+    hung = [int(k) for k in np.unique(readings.payload) if readings.payloads[k] in campaign.payloads]
+    for i, j in combinations(hung, 2):
+        swapped = readings.payload.copy()
+        swapped[readings.payload == i], swapped[readings.payload == j] = j, i
+        names = f"'{readings.payloads[i]}' and '{readings.payloads[j]}'"
+        yield (
+            np.flatnonzero(swapped != readings.payload),
+            f"the payloads {names} are exchanged",
+            replace(readings, payload=swapped),
+        )
 
 
 def _tables(robot: Robot) -> Iterator[tuple[str, Array]]:

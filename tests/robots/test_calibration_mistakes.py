@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from robots.calibration.mistakes import misfit, refuse_mistakes
+from robots.calibration.fit import fit_campaign
+from robots.calibration.mistakes import misfit, refuse_loads, refuse_mistakes
 from robots.calibration.solver import Campaign
 from robots.errors import BadInput
 from robots.pose import ROTATION_ORDERS, rotations_in_order
@@ -155,3 +156,44 @@ def test_orientations_turned_about_or_of_no_order_are_told():
         refuse_mistakes(replace(sound, readings=replace(sound.readings, turn=np.swapaxes(turn, 1, 2))))
     with pytest.raises(BadInput, match="qw, qx, qy, qz scatter by"):
         refuse_mistakes(replace(sound, readings=replace(sound.readings, turn=turn[::-1])))
+
+
+@cache
+def loaded() -> Campaign:
+    """A sound campaign, a third of its postures pulled at with about 1 kN at the flange."""
+    rng = np.random.default_rng(6)
+    truth, readings = random_truth(rng), campaign_readings(rng, 60)
+    load = np.zeros((60, 6))
+    load[::3, :3] = rng.normal(0, 400, (20, 3)) + [0, 0, -900]
+
+    def flange(q: np.ndarray) -> np.ndarray:
+        return elementary_forward(truth.robot, q)[:, :3, 3]
+
+    steps = [1e-6 * np.eye(6)[j] for j in range(6)]
+    torque = np.column_stack([np.sum((flange(readings.q + h) - flange(readings.q - h)) * load[:, :3], 1) / 2e-6 for h in steps])
+    bent = measured(truth, replace(readings, q=readings.q + truth.compliance * torque), rng)
+    return Campaign(EXTRA, replace(bent, q=readings.q, load=load), PAYLOADS, INSTRUMENT)
+
+
+def by_name(one: int, other: int):
+    return of(payload=lambda p: np.where(p == one, other, np.where(p == other, one, p)))
+
+
+LOAD_MISTAKES = {
+    "kilonewtons": (of(load=lambda f: f / 1e3), "the loads are in kilonewtons and kN m"),
+    "pounds": (of(load=lambda f: f / ([4.44822] * 3 + [1.35582] * 3)), "pounds-force and lbf ft"),
+    "reaction": (of(load=lambda f: -f), "the loads point the other way"),
+    "payloads": (by_name(0, 2), "the payloads 'bare' and 'weight' are exchanged"),
+}
+
+
+def test_sound_loads_pass():
+    refuse_loads(fit_campaign(loaded()))
+
+
+@pytest.mark.parametrize("name", LOAD_MISTAKES)
+def test_loads_of_another_unit_or_sign_are_told(name):
+    change, said = LOAD_MISTAKES[name]
+    with pytest.raises(BadInput, match=r"tracker.csv, from line \d+ on: .* met within 0.0\d+ mm instead") as error:
+        refuse_loads(fit_campaign(change(loaded())))
+    assert said in str(error.value)
