@@ -117,10 +117,15 @@ def examine(path: Path, phases: Phases) -> Examined:
     found += findings_of_frames(cell, blade)
     if any(f.kind == MISTAKE and f.key.startswith("workpiece.clamp") for f in found):  # no elasticity, so nothing can be tried
         return Examined(path, setup, tuple(found), None)
+    key = "workpiece"
     try:
-        grindable = _grindable(cell, phases)
+        with phases.phase("lines"):
+            laid = lay_paths(cell, cell.workpiece.stl, PlanOptions(even=False, step=STEP))
+        key = "force_flange"
+        refuse_flange(cell, laid.paths)
+        key = "wheel"
+        grindable = _grindable(cell, laid, phases)
     except (BadInput, Infeasible) as reason:  # the blade itself was read: what is left is the cell's doing
-        key = "wheel" if isinstance(reason, Infeasible) else "workpiece"
         return Examined(path, setup, (*found, Finding(MISTAKE, key, str(reason))), None)
     return Examined(path, setup, (*found, *_reach_findings(grindable)), grindable)
 
@@ -132,12 +137,8 @@ def findings_of_tables(tables: CellTables, robot: Robot) -> list[Finding]:
     return [*found, *_load_findings(robot, tables), *_tracker_findings(tables), *_effect_findings(tables)]
 
 
-def _grindable(cell: Cell, phases: Phases) -> Grindable:
+def _grindable(cell: Cell, laid: LaidPaths, phases: Phases) -> Grindable:
     """Lines as a plan lays them, `pass_spacing` apart, and the postures with which they can be ground."""
-    assert cell.workpiece.stl is not None
-    with phases.phase("lines"):
-        laid = lay_paths(cell, cell.workpiece.stl, PlanOptions(even=False, step=STEP))
-        refuse_flange(cell, laid.paths)
     with phases.phase("wheel"):
         law = wheel_law(cell, wheel_cover(cell), laid.paths)
     with phases.phase("postures"):

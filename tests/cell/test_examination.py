@@ -182,3 +182,8 @@ def test_what_no_line_can_be_laid_with_is_a_mistake(tmp_path):
     told = check_cell(changed(tmp_path, ('clamp_side = "below"', 'clamp_side = "above"')))
     assert not told.sound and any("mistake: workpiece: " in one and "leave" in one for one in told.notices)
     assert any("clamp_side" in one for one in told.notices)
+
+
+def test_a_flange_that_no_line_can_be_ground_with_is_a_mistake_of_its_own_table(tmp_path):
+    told = check_cell(changed(tmp_path, ("setpoint_N = 20.0", "setpoint_N = 1.0")))
+    assert not told.sound and any(one.startswith("mistake: force_flange: ") and "usable" in one for one in told.notices)
