@@ -19,7 +19,7 @@ from ocp.plan.passes.optimise import Ground, PassWorker, solve_directly
 from ocp.plan.passes.posture import find_seeds
 from ocp.plan.passes.problem import PassProblem, with_direction
 from ocp.plan.passes.smoothness import axis_rows, axis_use, between_bends, derivative_weights, quadratic_form
-from ocp.plan.passes.solve import TURN_KEPT, PassSolver
+from ocp.plan.passes.solve import LEAST_TURN, TURN_KEPT, PassSolver
 from ocp.plan.passes.stage import N_PARAMETERS, N_ROWS, N_Z, ObjectiveWeights
 from ocp.plan.passes.transcription import AROUND, N_DYNAMIC, N_MOTION, REACH, transcribe
 from ocp.plan.removal.footprint import CELL, contacts_along, line_patches, planned_patches
@@ -135,6 +135,17 @@ def test_a_pass_holds_its_force_inside_every_tolerance():
     assert (seen.arc >= cell.wheel.arc[0] - 1e-6).all() and (seen.arc <= cell.wheel.arc[1] + 1e-6).all()
     assert (solution.q > cell.robot.q_min).all() and (solution.q < cell.robot.q_max).all()
     assert (np.abs(np.diff(solution.q, axis=0)) <= SPEED_SHARE * problem.seconds[:, None] * cell.robot.qd_max + 1e-9).all()
+
+
+def test_at_a_turn_tolerance_of_zero_axes_need_not_follow_the_scatter_of_feed_directions():
+    cell, solver, problem = ready()
+    zero, path = copy(solver), problem.path
+    zero.cell = replace(cell, process=replace(cell.process, turn_tolerance=0.0))
+    scatter = (0.4 * LEAST_TURN * (-1.0) ** np.arange(len(path.s)))[:, None]
+    problem = replace(problem, path=replace(path, t=path.t * np.cos(scatter) + np.cross(path.n, path.t) * np.sin(scatter)))
+    solution = zero.solve(problem)
+    assert np.abs(zero.evaluate(problem, solution.q, solution.force).turn).max() <= LEAST_TURN + 1e-6
+    assert axis_use(cell, problem.way, solution.q, solution.rate).max() < 0.5 * SPEED_SHARE
 
 
 def test_the_solution_does_not_depend_on_padding():

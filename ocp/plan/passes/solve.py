@@ -50,6 +50,9 @@ RELINEARISED = 4  # solutions with axis limits, each with the torque linear abou
 LEAST_RATE = 0.05  # of the nominal one
 RATIO_RANGE = (0.7, 1.3)  # of force over feed over its programmed value
 TURN_KEPT = 0.9  # of the turn that a line is to be ground with
+# rad of turn that is left free at any tolerance: feed directions scatter by half of it, laid lines' too, and axes that have to
+# follow every scatter cannot keep the feed
+LEAST_TURN = np.radians(0.1)
 FULL_BEARING = 0.5  # of the force, from which on the wheel has to overlap the planned point
 FEASIBLE = 1e-5  # largest scaled violation of a row that counts as solved (0.01 um, 1e-5 rad)
 WORST_SHARE = 0.1  # of the worst violation: where a row is broken by more, the pass is at fault and not the way to it
@@ -287,7 +290,7 @@ class PassSolver:
         for row, half, name in ((2, lateral, "lateral"), (4, slope, "tilt_x"), (5, slope, "tilt_y")):
             limit = self.limits.get(name, (-np.inf, np.inf))
             low[row], high[row] = max(-half, limit[0]), min(half, limit[1])
-        turn = min(process.turn_tolerance, problem.turn_limit)
+        turn = max(min(process.turn_tolerance, problem.turn_limit), LEAST_TURN)
         # What the seed has of the turn that the line is to be ground with is kept.
         sign = np.sign(problem.path.turn)
         asked = TURN_KEPT * min(abs(problem.path.turn), sign * problem.seed.turn)
