@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
 from scipy.spatial import cKDTree
 
 from robots.csv_table import read_csv_table
@@ -18,7 +19,7 @@ from trajectories.blade.nearest import nearest_on_facets
 from trajectories.blade.shape import AerofoilShape
 from trajectories.blade.spline import nearest_parameters
 from trajectories.blade.surroundings import MAX_TURN
-from trajectories.passes import BladePath, ContactFrames, describe
+from trajectories.passes import MOST_WAYPOINTS, BladePath, ContactFrames, describe
 
 OFF_SURFACE = 0.2e-3  # m: points farther off than this are refused
 NORMAL_LIMIT = np.deg2rad(15.0)  # a normal that differs more from the surface's is refused
@@ -38,29 +39,72 @@ def paths_from_points(
     force: Array,
     source: str,
     places: list[str],
+    step: float,
 ) -> tuple[list[BladePath], list[str]]:
     """Passes through given contact frames, and notices.
 
     line (m,): number of the pass of each point, equal numbers in one stretch; p (m, 3) m; n, t (m, 3) unit to 1 %;
     feed (m,) m/s; force (m,) N; source: file, places (m,): what to call each point in messages.
-    Points are moved onto the surface and take its normals; t loses its part along n.
-    Raises: BadInput for points off the surface, wrong normals or feed directions, passes of fewer than 3 points.
+    Points are moved onto the surface and take its normals; t loses its part along n. Where points of a pass stand farther than
+    `step` m apart others come between them.
+    Raises: BadInput for points off the surface, wrong normals or feed directions, passes of fewer than 3 points, a way between
+    points that leaves the surface.
     """
     _refuse_lengths(source, places, n, t)
     name, u, v, foot, normal, gap = feet_on_blade(blade, shape, p, lambda k: f"{source}, {places[k]}")
     angle = angles_to_surface(n, normal, lambda k: f"{source}, {places[k]}")
-    paths = []
+    paths, waypoints = [], 0
     starts = np.flatnonzero(np.concatenate([[True], line[1:] != line[:-1]]))
     for i, j in zip(starts, [*starts[1:], len(line)], strict=True):
         rows = np.arange(i, j)
         s, feed_direction = _along(source, places, rows, foot[rows], normal[rows], t[rows], int(line[i]))
         at = ContactFrames(int(line[i]), foot[rows], normal[rows], feed_direction, s, feed[rows], force[rows])
-        sides = set(name[rows])
+        at, names, on_u, on_v = _filled(
+            blade, shape, at, name[rows], u[rows], v[rows], step, [f"{source}, {places[k]}" for k in rows]
+        )
+        waypoints += len(at.s)
+        if waypoints > MOST_WAYPOINTS:
+            raise BadInput(
+                f"{source}: {waypoints} waypoints up to line {at.line}, the limit is {MOST_WAYPOINTS}; take a longer step"
+            )
+        sides = set(names)
         if sides <= set(shape.sides) and len(sides) == 1:
-            paths.append(describe(shape, shape.sides[sides.pop()], u[rows], v[rows], at))
+            paths.append(describe(shape, shape.sides[sides.pop()], on_u, on_v, at))
         else:
             paths.append(describe_off_flank(blade, shape, at))
     return paths, _notices(source, gap, angle, name)
+
+
+def _filled(
+    blade: Blade,
+    shape: AerofoilShape,
+    at: ContactFrames,
+    name: NDArray[np.str_],
+    u: Array,
+    v: Array,
+    step: float,
+    places: list[str],
+) -> tuple[ContactFrames, NDArray[np.str_], Array, Array]:
+    """A pass with points about `step` m apart where its own stand farther from each other, on the surface below a cubic through
+    these; of all of them side name or "edge" and parameters, as of its own, which `places` names."""
+    more = np.maximum(np.round(np.diff(at.s) / step).astype(np.int64) - 1, 0)
+    if not more.any():
+        return at, name, u, v
+    before = np.repeat(np.arange(len(more)), more)
+    part = np.concatenate([np.arange(1, k + 1) / (k + 1) for k in more])
+    between = at.s[before] + part * np.diff(at.s)[before]
+    found = feet_on_blade(
+        blade, shape, CubicSpline(at.s, at.p)(between), lambda k: f"{places[before[k]]}, on the way to the next point"
+    )
+    order = np.argsort(np.concatenate([at.s, between]), kind="stable")
+    name, u, v, p, n = (np.concatenate(both)[order] for both in zip((name, u, v, at.p, at.n), found[:5], strict=True))
+    s = np.concatenate([at.s, between])[order]
+    t = np.stack([np.interp(s, at.s, column) for column in at.t.T], axis=1)
+    feed, force = np.interp(s, at.s, at.feed), np.interp(s, at.s, at.force)
+    t -= np.einsum("ni,ni->n", t, n)[:, None] * n
+    t /= np.maximum(np.linalg.norm(t, axis=1, keepdims=True), 1e-12)
+    s = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(p, axis=0), axis=1))])
+    return ContactFrames(at.line, p, n, t, s, feed, force), name, u, v
 
 
 def _notices(source: str, gap: Array, angle: Array, name: NDArray[np.str_]) -> list[str]:
@@ -240,9 +284,10 @@ OPTIONAL = ("feed_mm_s", "force_N")
 
 
 def read_path_file(
-    path: str | Path, blade: Blade, shape: AerofoilShape, feed: float, force: float
+    path: str | Path, blade: Blade, shape: AerofoilShape, feed: float, force: float, step: float
 ) -> tuple[list[BladePath], list[str]]:
-    """Passes of a path.csv on a blade, and notices; feed m/s and force N stand in where the columns are absent.
+    """Passes of a path.csv on a blade, waypoints at most about `step` m apart, and notices; feed m/s and force N stand in where
+    the columns are absent.
 
     Raises: BadInput naming file, line, column and value, or the distance of a point off the surface.
     """
@@ -262,7 +307,8 @@ def read_path_file(
     n = np.stack([table[c] for c in ("nx", "ny", "nz")], axis=1)
     t = np.stack([table[c] for c in ("tx", "ty", "tz")], axis=1)
     places = [f"line {number}" for number in numbers]
-    paths, more = paths_from_points(blade, shape, line, p, n, t, 1e-3 * table["feed_mm_s"], table["force_N"], str(path), places)
+    asked = 1e-3 * table["feed_mm_s"], table["force_N"]
+    paths, more = paths_from_points(blade, shape, line, p, n, t, *asked, str(path), places, step)
     return paths, notices + more
 
 

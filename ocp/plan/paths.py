@@ -89,7 +89,7 @@ def lay_paths(cell: Cell, stl: Path, options: PlanOptions) -> LaidPaths:
     if options.path is None and options.program is None:
         return _laid_lines(cell, blade, shape, cloud, options)
     if options.path is not None:
-        paths, notices = read_path_file(options.path, blade, shape, cell.process.feed, cell.process.force)
+        paths, notices = read_path_file(options.path, blade, shape, cell.process.feed, cell.process.force, options.step)
     else:
         assert options.program is not None
         paths, notices = paths_from_program(cell, blade, shape, cloud, options.program, options.step)
@@ -244,7 +244,7 @@ def paths_from_program(
     feeds = [np.median([cell.process.feed if np.isnan(one.feed) else one.feed for one in found]) for found in touching.values()]
     feed, force = np.repeat(feeds, [len(r[0]) for r in rows]), np.full(len(p), cell.process.force)
     places = [one.place for one in nearest]
-    paths, more = paths_from_points(blade, shape, line, p, n, t, feed, force, source.name, places)
+    paths, more = paths_from_points(blade, shape, line, p, n, t, feed, force, source.name, places, step)
     return paths, [*notes, told, *more]
 
 

@@ -430,7 +430,7 @@ READERS = (
         "path.csv",
         "path.csv",
         lambda: {"path.csv": path_table()},
-        lambda folder: read_path_file(folder / "path.csv", *_ground(), 0.04, 20.0),
+        lambda folder: read_path_file(folder / "path.csv", *_ground(), 0.04, 20.0, 5e-4),
         ("read_path_file",),
     ),
     HostileReader(

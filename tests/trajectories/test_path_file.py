@@ -30,8 +30,8 @@ def write(tmp_path, rows, header=HEADER):
     return path
 
 
-def read(path, sample):
-    return read_path_file(path, sample[0], sample[1], 0.04, 20.0)
+def read(path, sample, step=2e-3):
+    return read_path_file(path, sample[0], sample[1], 0.04, 20.0, step)
 
 
 def test_passes_written_and_read_back_are_the_same(tmp_path, sample):
@@ -55,6 +55,26 @@ def test_columns_in_any_order_with_feed_force_and_more(tmp_path, sample):
     paths, notices = read(write(tmp_path, [[row[k] for k in order] for row in rows], [header[k] for k in order]), sample)
     assert notices == ["path.csv: columns remark were ignored."]
     assert all((path.feed == 1e-3 * (30.0 + path.line)).all() and (path.force == 12.0).all() for path in paths)
+
+
+def test_points_far_apart_get_others_between_them_on_the_surface(tmp_path, sample):
+    """CAM systems leave out points where the way is straight; waypoints are as near to each other as asked all the same."""
+    line = sample[2][0]
+    kept = np.unique(np.append(np.arange(0, len(line.s), 6), len(line.s) - 1))
+    feed = 30.0 + 1e3 * line.s
+    rows = [[1, *(1e3 * line.p[k]), *line.n[k], *line.t[k], feed[k]] for k in kept]
+    (path,), _ = read(write(tmp_path, rows, [*HEADER, "feed_mm_s"]), sample)
+    assert len(path.s) == len(line.s) and path.side == line.side and np.diff(path.s).max() < 2.2e-3
+    np.testing.assert_allclose(path.p, line.p, atol=2e-4)
+    np.testing.assert_allclose(path.feed, 1e-3 * feed, atol=1e-5)
+    assert np.abs(np.einsum("ni,ni->n", path.t, path.n)).max() < 1e-9
+
+
+def test_a_way_between_points_that_leaves_the_surface_is_refused(tmp_path, sample):
+    other = next(path for path in sample[2] if path.side != sample[2][0].side)
+    rows = [[1, *(1e3 * path.p[k]), *path.n[k], *path.t[k]] for path, k in ((sample[2][0], 0), (sample[2][0], 1), (other, 5))]
+    with pytest.raises(BadInput, match=r"path.csv, line 3, on the way to the next point: the point .* off the surface"):
+        read(write(tmp_path, rows), sample)
 
 
 def test_small_offsets_are_put_right_and_told(tmp_path, sample):
