@@ -12,7 +12,16 @@ from scipy.stats import chi2
 from ocp.calibrate.force import rows as log_rows
 from ocp.calibrate.force.assessment import blocks_of, held_out_blocks
 from ocp.calibrate.force.blade import points_on_surface
-from ocp.calibrate.force.fit import BIAS, FIT_NAMES, covariance_left, force_prior, reading_jacobian, reading_of, solve_force_log
+from ocp.calibrate.force.fit import (
+    BIAS,
+    FIT_NAMES,
+    RULE,
+    covariance_left,
+    force_prior,
+    reading_jacobian,
+    reading_of,
+    solve_force_log,
+)
 from ocp.calibrate.force.log import ForceLog, read_force_log
 from ocp.calibrate.force.model import STATE, ForceModel, ForceRows, PlacedRows
 from ocp.calibrate.force.registration import ForceFit, fit_force, refuse_other_force
@@ -28,6 +37,7 @@ from ocp.shell import native
 from ocp.shell.cache import flattened
 from robots.calibration.store import Calibration, read_calibration, write_calibration
 from robots.errors import BadInput, Infeasible
+from robots.gauss_newton import minimise
 from tests.support.force_world import HEADER, Run, World, arm_posterior, campaign, correlated, make_world, write_log
 from trajectories.blade import find_shape, read_blade
 
@@ -450,3 +460,28 @@ def test_what_is_left_unknown_is_that_of_all_unknowns_together():
     first, between, others = whole[:4, :4], whole[:4, 4:], whole[4:, 4:]
     alone = np.linalg.inv(first - between @ np.linalg.solve(others, between.T))
     assert covariance_left(root, whole) == pytest.approx(root @ alone @ root.T, rel=1e-9)
+
+
+@dataclass(frozen=True)
+class JustBearing:
+    """A search whose second row bears from z = 0.5 on and reads less than nothing, while the first one pulls beyond."""
+
+    z: np.ndarray
+
+    def reweighted(self):
+        return self
+
+    def residual(self):
+        return np.array([3.0 - self.z[0], -1.0 - 3.0 * max(self.z[0] - 0.5, 0.0)])
+
+    def linearised(self):
+        return self.residual(), np.array([[1.0], [3.0 * (self.z[0] > 0.5)]])
+
+    def moved(self, change):
+        return JustBearing(self.z + change)
+
+
+def test_a_fit_on_a_kink_is_at_rest():
+    """In a rigid cell the rows of ramps count: the best fit may lie where one just bears, and every step points across."""
+    found = minimise(JustBearing(np.zeros(1)), np.ones(1), RULE)
+    assert found.rested and found.at.z[0] == pytest.approx(0.5, abs=1e-3)

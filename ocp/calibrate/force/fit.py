@@ -21,7 +21,7 @@ from ocp.model.cell import Cell
 from ocp.model.theta import NAMES, believed_theta, covariance_root
 from robots.calibration.store import Calibration
 from robots.errors import Infeasible
-from robots.gauss_newton import Rule, minimise
+from robots.gauss_newton import Rule, Valley, minimise
 from robots.pose import Array
 
 SIZES: Array = np.geomspace(5e-3, 20.0, 60)  # N, tried for the standard deviation of the offsets
@@ -94,7 +94,8 @@ FIT_NAMES: tuple[str, ...] = (*NAMES, "sensor_bias")
 BIAS = len(NAMES)
 BIAS_SD = 1.0  # N where no calibration says; DIAGNOSIS: sensors are off by 0.1 to 2 N
 # At rest within 3 % of the posterior's standard deviations. Weights may swing where a log falls into two parts: ten steps.
-RULE = Rule(steps=25, rest=1e-3, reweighted=10, halvings=10, relaxed=True)
+# A fit may rest on a kink, where a row just bears: steps point across it and win nothing however short.
+RULE = Rule(25, rest=1e-3, reweighted=10, halvings=10, relaxed=True, valley=Valley(3, still=0.01, close=0.01, tries=200, lost=5))
 PRESSED = 0.3  # of the process force
 
 
