@@ -15,7 +15,7 @@ from ocp.model.cell import Cell
 from ocp.plan.clearance import CollisionScene
 from ocp.plan.passes.optimise import SolvedPass
 from ocp.plan.passes.stretches import CannotGrind
-from ocp.plan.rules import COLLISION_STEP, FEED_TOLERANCE, HOME_LIFT, LIMIT_SHARE
+from ocp.plan.rules import COLLISION_STEP, FEED_TOLERANCE, HOME_LIFT, LIMIT_SHARE, RAMP_FEED_TOLERANCE
 from ocp.shell.processes import side_by_side
 from robots.errors import Infeasible
 from robots.kinematics import forward, jacobian
@@ -126,9 +126,12 @@ def _timed(limits: Limits, one: SolvedPass, name: str) -> JointTrajectory:
     nominal = trajectory.s(t) / feed
     on = (nominal > course.edges[1]) & (nominal < course.edges[4])
     met = (trajectory.feed(t) / np.interp(nominal, course.at, one.solution.rate * feed))[on]
-    if met.min() < 1 - FEED_TOLERANCE:
-        k = int(np.argmin(np.abs(course.at - nominal[on][int(np.argmin(met))])))
-        reason = f"the arm reaches {100 * met.min():.1f} % of the planned feed (at least {100 - 100 * FEED_TOLERANCE:g})"
+    full = (nominal[on] >= course.edges[2]) & (nominal[on] <= course.edges[3])
+    least = 1 - np.where(full, FEED_TOLERANCE, RAMP_FEED_TOLERANCE)
+    i = int(np.argmin(met - least))
+    if met[i] < least[i]:
+        k = int(np.argmin(np.abs(course.at - nominal[on][i])))
+        reason = f"the arm reaches {100 * met[i]:.1f} % of the planned feed (at least {100 * least[i]:g})"
         raise CannotGrind.of(path, np.ones(len(path.s), bool), reason, "lower the feed", k)
     return trajectory
 

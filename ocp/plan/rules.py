@@ -46,8 +46,12 @@ LIMIT_SHARE = 0.9
 down or stop. Reason: judgement; rigid-body torques leave friction out."""
 
 FEED_TOLERANCE = 0.01
-"""[-] Of the planned feed, by which the timed motion may fall short of it in contact. Guards: depth goes with force over feed.
-Reason: a twentieth of what the removal may be off by."""
+"""[-] Of the planned feed, by which the timed motion may fall short of it under full force. Guards: depth goes with force over
+feed. Reason: a twentieth of what the removal may be off by."""
+
+RAMP_FEED_TOLERANCE = 0.05
+"""[-] The same where force and feed rise and fall. Guards: as FEED_TOLERANCE. Reason: judgement; without a flange the planned
+feed swings there by several per cent within 8 ms, faster than the time law follows, and no axis is near a limit."""
 
 READ_BACK_LIMIT = 1.0
 """[-] Of an axis' limits of speed and acceleration that the program's text, interpolated anew, may use. Guards: points that

@@ -417,6 +417,21 @@ def test_a_pass_may_fall_short_of_its_feed_by_a_little():
                 _timed_pass(limits, one, "line 3")
 
 
+@pytest.mark.parametrize(("swing", "held"), [(0.04, True), (0.2, False)])
+def test_on_a_ramp_a_pass_may_fall_short_of_its_feed_by_more(swing, held):
+    """RAMP_FEED_TOLERANCE: the planned rate swings from node to node of a ramp, faster than the time law follows."""
+    motion = invented_motion.motion()
+    one, limits = motion.passes[0], motion.way(0).trajectory.limits
+    way, rate = one.problem.way, one.solution.rate.copy()
+    rate[np.flatnonzero((way.at > way.edges[1]) & (way.at < way.edges[2]))[6:13:2]] -= swing
+    one = replace(one, solution=replace(one.solution, rate=rate))
+    if held:
+        _timed_pass(limits, one, "line 3")
+    else:
+        with pytest.raises(CannotGrind, match=r"of the planned feed \(at least 95\)"):
+            _timed_pass(limits, one, "line 3")
+
+
 # -- timing and the program read back ------------------------------------------------------------------------------
 
 
