@@ -335,6 +335,22 @@ def test_a_line_looked_at_for_its_feed_is_looked_at_anew_for_other_seeds_and_eff
     assert set(tried) == {(0.0, first), (0.1, "anew")}
 
 
+def test_where_the_wheel_hangs_over_the_line_it_is_left_out(monkeypatch):
+    """Beside a block a wide wheel bears on what lies beyond the contact's reach: pressed in by less than nothing on the line."""
+    path = line()
+    patches = SimpleNamespace(at=path.s[[0, 20, -1]], indentation=np.array([-3e-3, 1e-4, 3e-4]))
+    monkeypatch.setattr("ocp.plan.passes.optimise.contacts_along", lambda *_, **__: patches)
+    seen = SimpleNamespace(stiffness=np.full(len(path.s), 5e3), parts=np.zeros((len(path.s), 4)))
+    worker = object.__new__(PassWorker)
+    worker.ground = SimpleNamespace(cell=None, cover=None, cloud=None)
+    worker.solver = SimpleNamespace(seed_joints=lambda problem: None, evaluate=lambda *_: seen)
+    monkeypatch.setattr("ocp.plan.passes.optimise.entry_of", lambda *_: None)
+    with pytest.raises(CannotGrind, match="bears beside the line") as told:
+        worker._driven(SimpleNamespace(path=path))
+    bad = told.value.nodes(path.s)
+    assert bad[:19].all() and not bad[20:].any()
+
+
 # -- what does not read back ---------------------------------------------------------------------------------------
 
 
