@@ -8,6 +8,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+Mask = NDArray[np.bool_]
 
 
 def _axis_rotation(angle: ArrayLike, i: int, j: int) -> Array:

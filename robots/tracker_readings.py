@@ -10,9 +10,7 @@ from scipy.spatial.transform import Rotation
 from robots.column_mapping import SEALED, ColumnMapping
 from robots.csv_table import OURS, CsvTable, read_csv_table
 from robots.errors import BadInput, shown
-from robots.pose import Array, Stacked, rotations_in_order
-
-Index = NDArray[np.int64]
+from robots.pose import Array, Index, Mask, Stacked, rotations_in_order
 
 AXES = tuple(f"q{i}_deg" for i in range(1, 7))
 POINT = ("x_mm", "y_mm", "z_mm")
@@ -118,7 +116,7 @@ class Readings(Stacked):
         return len(self.q)
 
     @property
-    def turned(self) -> NDArray[np.bool_]:
+    def turned(self) -> Mask:
         """Which readings (n,) have an orientation."""
         if self.turn is None:
             return np.zeros(len(self), bool)

@@ -16,12 +16,10 @@ from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ocp.diagnose.rules import OUTLIER_WEIGHT
 from ocp.effects.effect import Active, Effect, Scanned, Surroundings, scan_key
-from robots.pose import Array
-from robots.tracker_readings import Index
+from robots.pose import Array, Index, Mask
 
 SCALE = {"mm": 1e3, "N": 1.0, "arcsec": float(np.degrees(1.0) * 3600.0)}
 """Units in which a gap is told, per SI unit."""
@@ -116,7 +114,7 @@ def needs_motion(reason: str) -> bool:
     return reason.rpartition("column ")[2] == "speed"
 
 
-def is_outlier(weight: Array) -> NDArray[np.bool_]:
+def is_outlier(weight: Array) -> Mask:
     """Readings (n,) that are set aside as gross, by their weight (n,) in a fit of the diagnosis."""
     return np.asarray(weight <= OUTLIER_WEIGHT)
 
@@ -134,7 +132,7 @@ class Fold:
 
     name: str
     kind: str
-    held: NDArray[np.bool_]
+    held: Mask
 
     @property
     def extrapolates(self) -> bool:
@@ -185,7 +183,7 @@ class Sealed:
     named: Array | None = None
     patched: Array | None = None
     patched_sigma: Array | None = None
-    inside: NDArray[np.bool_] | None = None
+    inside: Mask | None = None
     beyond: tuple[str, ...] = ()
 
 

@@ -37,8 +37,7 @@ from scipy.special import chndtrix, gammaln, stdtr
 
 from ocp.diagnose.engine.channel_system import Channel, System
 from ocp.diagnose.rules import MISSED, NOISE_TRUST, TAILS, TAILS_TOLD, WRONG_SIGN
-from robots.pose import Array
-from robots.tracker_readings import Index
+from robots.pose import Array, Index
 
 TAIL_STEPS = 8  # of the scale of tails: what is left of its error is in every set alike
 RANK = 1e-10  # singular values below this share of the largest are no direction of their own

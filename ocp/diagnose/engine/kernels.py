@@ -23,8 +23,7 @@ from ocp.diagnose.engine.channel_system import ReadingConditions
 from ocp.diagnose.rules import FORCE_KERNEL, FRAME_KERNEL, JOINT_KERNEL, LEAST_TORQUE, LEAST_TURN, TILT_KERNEL
 from ocp.effects.context import SETTLING
 from ocp.effects.engine.evaluate import left_of_motion
-from robots.pose import Array
-from robots.tracker_readings import Index
+from robots.pose import Array, Index
 
 TILTED = 5  # cosines for each direction of a tilting axis
 ORDERS_OF_TWO = ((1, 1), (1, 2), (2, 1), (2, 2), (1, 3), (2, 3))  # waves per turn of a joint and of another one

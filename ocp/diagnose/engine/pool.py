@@ -11,7 +11,6 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg.lapack import dpotrf, dtrtri
 
 from ocp.diagnose import rules
@@ -19,8 +18,7 @@ from ocp.diagnose.engine.evidence import Projection, Tails, log_evidence
 from ocp.diagnose.engine.findings import Name
 from ocp.diagnose.rules import NOISE_TRUST
 from ocp.effects.effect import Effect, Scanned
-from robots.pose import Array
-from robots.tracker_readings import Index
+from robots.pose import Array, Index, Mask
 
 PAIRWISE = 3  # columns of a variant up to which its products are taken pair by pair
 
@@ -87,7 +85,7 @@ class _Kept:
 
     def __init__(self, rows: int) -> None:
         self.places: dict[tuple[int, int], Index] = {}
-        self.beside: dict[int, tuple[Array, NDArray[np.bool_]]] = {}  # products with a family's columns, and which are known
+        self.beside: dict[int, tuple[Array, Mask]] = {}  # products with a family's columns, and which are known
         self.count = 0
         self.columns, self.G, self.b = np.empty((0, rows)), np.empty((0, 0)), np.empty(0)
 

@@ -22,7 +22,6 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ocp.diagnose import rules
 from ocp.diagnose.engine.beam import NOTHING, Key, Search, Weighed, weigh
@@ -35,7 +34,7 @@ from ocp.diagnose.engine.selection import misses_far_more_than_noise
 from ocp.diagnose.rules import OUTLIERS_OF_ONE_CAUSE, RECHECKED, SHARPER_GAIN
 from ocp.effects.effect import Active, Effect, Scanned
 from robots.errors import Infeasible
-from robots.pose import Array
+from robots.pose import Array, Mask
 
 
 @dataclass
@@ -262,7 +261,7 @@ def outliers_rechecked(
     return None
 
 
-def outliers(channel: Channel) -> NDArray[np.bool_]:
+def outliers(channel: Channel) -> Mask:
     """Readings (n,) of a channel that are set aside as gross; none where its fit weighs no single readings."""
     n = len(channel.gap())
     weight = getattr(getattr(channel, "fit", None), "weight", None)

@@ -18,7 +18,6 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ocp.diagnose import rules
 from ocp.diagnose.engine.beam import NOTHING, Search
@@ -27,9 +26,7 @@ from ocp.diagnose.engine.findings import Name, Options
 from ocp.diagnose.engine.linearisation import Candidate, Linearisation, candidates, linearised, positive_of, put_back
 from ocp.diagnose.engine.pool import squares
 from ocp.effects.effect import Active, Effect, Scanned
-from robots.pose import Array
-
-Mask = NDArray[np.bool_]
+from robots.pose import Array, Mask
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ocp.calibrate.force.fit import pressed_rows
-from ocp.calibrate.force.log import Flags, ForceLog
+from ocp.calibrate.force.log import ForceLog
 from ocp.calibrate.force.noise import Whitener
 from ocp.calibrate.force.rows import ForceSetup, LogConditions, log_conditions, prepare_force
 from ocp.diagnose.engine.channel_system import (
@@ -41,7 +41,7 @@ from ocp.model.cell import Cell, with_calibration
 from robots.calibration.store import Calibration
 from robots.errors import Infeasible
 from robots.gravity import weight_torques
-from robots.pose import Array
+from robots.pose import Array, Mask
 
 TOGETHER = 48  # variants evaluated at once
 # What columns a need of an effect stands for, where they are not called alike.
@@ -281,7 +281,7 @@ def force_channel(
 
 
 def problem_of(
-    setup: ForceSetup, cell: Cell, log: ForceLog, arm: Calibration | None, pressed: Flags | None = None
+    setup: ForceSetup, cell: Cell, log: ForceLog, arm: Calibration | None, pressed: Mask | None = None
 ) -> ForceProblem:
     """The problem of a log that is the first of a setup; pressed (n,): rows that only contact explains, as the readings say."""
     effects, cell = [*(e.active for e in cell.effects), *_own_friction(cell)], replace(cell, effects=())

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from ocp.calibrate.force.assessment import without_rows
-from ocp.calibrate.force.log import Flags, ForceLog, Index
+from ocp.calibrate.force.log import ForceLog
 from ocp.calibrate.force.model import ForceModel, ForceRows
 from ocp.calibrate.force.noise import ReadingNoise
 from ocp.calibrate.force.rows import log_conditions, prepare_force
@@ -21,7 +21,7 @@ from ocp.diagnose.force.fit import EffectFit, ForceProblem, fit_effects, linear_
 from ocp.diagnose.force.prediction import LogScene, Predicted, predict_forces
 from ocp.diagnose.rules import FOLD_PARTS, FOLD_PIECE, FOLD_REST, FOLD_ROWS, RUN_SD
 from ocp.effects.effect import Effect
-from robots.pose import Array
+from robots.pose import Array, Index, Mask
 
 Fitted = tuple[ForceProblem, EffectFit]
 
@@ -102,7 +102,7 @@ def force_fold_errors(before: Fitted, after: Fitted, fold: Fold, own: ReadingNoi
     return HeldOut(fold, squares, float(estimation.mean()), float(np.sqrt(shared @ known @ shared)))
 
 
-def _moved_without(fit: EffectFit, held: Flags) -> tuple[Array, Array]:
+def _moved_without(fit: EffectFit, held: Mask) -> tuple[Array, Array]:
     """By how much the unknowns (k,) move without the held rows, and their covariance (k, k) then."""
     out = np.tile(held, len(fit.whiteners))
     left = fit.sensitivity[out]

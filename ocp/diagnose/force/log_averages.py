@@ -12,7 +12,6 @@ from functools import cached_property
 
 import numpy as np
 
-from ocp.calibrate.force.log import Flags, Index
 from ocp.calibrate.force.noise import Whitener
 from ocp.diagnose.engine.channel_system import Wave
 from ocp.diagnose.engine.kernels import BY_RUN
@@ -20,7 +19,7 @@ from ocp.diagnose.force.fit import EffectFit, ForceProblem
 from ocp.diagnose.force.prediction import effect_derivatives
 from ocp.diagnose.rules import FAST_LAMBDA, FAST_SHARE
 from ocp.effects.effect import Effect, Scanned, Surroundings
-from robots.pose import Array
+from robots.pose import Array, Index, Mask
 
 TOGETHER = 24  # variants evaluated at once
 
@@ -39,7 +38,7 @@ class LogAverages:
     patterns: Array = field(repr=False)
     back: Array = field(repr=False)
     slopes: Array = field(repr=False)
-    touching: Flags = field(repr=False)
+    touching: Mask = field(repr=False)
 
     def rows(self, columns: Sequence[Array]) -> Array:
         """Columns (n, m) of each signal, N, as rows of the system (N, m)."""

@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from ocp.calibrate.force.log import Index
 from ocp.calibrate.force.model import STATE, PlacedRows
 from ocp.calibrate.force.rows import LogConditions
 from ocp.effects.effect import Effect, Scanned, scan_key
@@ -22,7 +21,7 @@ from ocp.model.cell import Cell
 from ocp.model.force_balance import axis_directions
 from ocp.model.theta import BLOCKS, NAMES
 from robots.calibration.reading_model import RowInputs
-from robots.pose import Array
+from robots.pose import Array, Index
 
 PLACE = CONTACT_LAYOUT.places
 _AT = RowLayout(tuple((name, len(names)) for name, names in BLOCKS.items())).places  # of theta

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 
 from ocp.calibrate.force.fit import BIAS
-from ocp.calibrate.force.log import Flags, Index
 from ocp.calibrate.force.model import PROBE, STATE, ForceModel, ForceRows, PlacedRows
 from ocp.calibrate.force.rows import LogConditions
 from ocp.diagnose.force.logged_contact import BLADE, PLACE, LoggedArm, hook_columns, logged_arm, samples_of
@@ -21,7 +20,7 @@ from ocp.effects.context import LogRows
 from ocp.effects.effect import Active, Effect, Scanned
 from ocp.model.cell import Cell
 from ocp.model.theta import Theta
-from robots.pose import Array
+from robots.pose import Array, Index, Mask
 
 M = Theta.size
 Both = tuple[Array, Array]  # of fn and ft, N
@@ -50,9 +49,9 @@ class LogScene:
     arm: LoggedArm
     theta: Array
     given: tuple[Active, ...] = ()
-    pressed: Flags | None = None
+    pressed: Mask | None = None
 
-    def over(self, rows: ForceRows, conditions: LogConditions, pressed: Flags | None = None) -> "LogScene":
+    def over(self, rows: ForceRows, conditions: LogConditions, pressed: Mask | None = None) -> "LogScene":
         """The same cell over other rows."""
         arm = logged_arm(self.cell, self.theta, rows.q, conditions)
         return replace(self, rows=rows, conditions=conditions, arm=arm, pressed=pressed)

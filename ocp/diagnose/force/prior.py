@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from ocp.calibrate.force.fit import BIAS, FIT_NAMES, force_prior
-from ocp.calibrate.force.log import AIR_SHARE, Flags, ForceLog
+from ocp.calibrate.force.log import AIR_SHARE, ForceLog
 from ocp.calibrate.tracker import as_calibration
 from ocp.diagnose import rules
 from ocp.diagnose.tracker.channel import TrackerChannel
@@ -31,7 +31,7 @@ from robots.calibration.carried import carried_over
 from robots.calibration.fit import Fit
 from robots.calibration.layout import Layout
 from robots.calibration.store import BENDING, Calibration
-from robots.pose import Array
+from robots.pose import Array, Mask
 
 SCALES = ("cover_stiffness_scale", "blade_stiffness_scale")
 EXTRA = ("shear_gain", "shear_bias")  # after FIT_NAMES
@@ -120,7 +120,7 @@ def _sentence(log: ForceLog, changed: dict[int, float], own: float) -> str:
     )
 
 
-def _over_the_same_points(log: ForceLog, pressed: dict[int, Flags]) -> list[list[int]]:
+def _over_the_same_points(log: ForceLog, pressed: dict[int, Mask]) -> list[list[int]]:
     """Runs of one session whose contact points have the same middle, on the same side of the blade."""
     groups: list[tuple[Array, Array, int, list[int]]] = []
     for r, rows in pressed.items():

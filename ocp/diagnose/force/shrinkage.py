@@ -25,8 +25,7 @@ from ocp.diagnose.rules import BETWEEN_RUNS, LATER_FORCE, NEW_RECORDINGS, NO_GAP
 from ocp.diagnose.verdict.shrinkage import DRAWS, Shrinkage, drawn_errors, interval, unexplained
 from ocp.effects.effect import Active
 from robots.errors import Infeasible
-from robots.pose import Array
-from robots.tracker_readings import Index
+from robots.pose import Array, Index
 
 ROWS = 600  # of the log, evenly taken
 

@@ -10,7 +10,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ocp.diagnose.engine.channel_system import SCALE, Channel, HeldOut, shows
 from ocp.diagnose.engine.findings import Alternative, Diagnosis
@@ -38,8 +37,8 @@ from ocp.diagnose.verdict.shrinkage import (
 )
 from ocp.effects.engine.readings import has_columns
 from robots.calibration.residuals import points
-from robots.pose import Array
-from robots.tracker_readings import Index, Readings
+from robots.pose import Array, Index, Mask
+from robots.tracker_readings import Readings
 
 POSTURES, ASKED = 60, 300  # of the campaign, of the conditions asked for, evenly taken
 TOGETHER = ([0], [1, 2], [3], [4], [5])  # axes whose angles stay together: the arm stays off the floor
@@ -163,7 +162,7 @@ def _by_kind(after: Channel, held: Sequence[HeldOut], told: Shrinkage) -> dict[s
     return {ANOTHER_DAY: promised_later(told, chosen) if other is None else other} | kinds
 
 
-def counted(channel: Channel) -> NDArray[np.bool_]:
+def counted(channel: Channel) -> Mask:
     """Readings (n,) that are neither outliers, which are no gap of the model, nor air runs, in which nothing was ground."""
     good = ~outliers(channel)
     contact = channel.conditions.contact

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from ocp.calibrate.force.log import AXES, FEED, NORMAL, POINT, ForceLog, Index, log_of_table, read_force_log
+from ocp.calibrate.force.log import AXES, FEED, NORMAL, POINT, ForceLog, log_of_table, read_force_log
 from ocp.diagnose.engine.channel_system import UNSEEN, Channel, needs_motion
 from ocp.diagnose.engine.evidence import project
 from ocp.diagnose.engine.findings import Options
@@ -31,7 +31,7 @@ from ocp.model.cell import TrackerSetup, read_cell, read_tracker_setup
 from robots.calibration.store import Calibration
 from robots.csv_table import read_csv_table
 from robots.errors import BadInput
-from robots.pose import Array
+from robots.pose import Array, Index
 from robots.tracker_readings import read_readings
 
 USUAL = Options()

@@ -9,7 +9,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ocp.diagnose.engine.channel_system import Channel, Scattering, Sealed, effects_key
 from ocp.diagnose.engine.findings import Alternative, Diagnosis
@@ -27,7 +26,7 @@ from ocp.effects.engine.readings import displaced, has_columns, motion
 from ocp.effects.patch import lengths_outside
 from robots.calibration.residuals import points
 from robots.errors import Infeasible
-from robots.pose import Array
+from robots.pose import Array, Mask
 
 
 def unnamed(diagnosis: Diagnosis, written: Sequence[Active]) -> Unnamed | None:
@@ -95,7 +94,7 @@ def _others(diagnosis: Diagnosis, written: tuple[Active, ...], after: Channel) -
     return (Alternative(0.0, after.active), first, *rest, *names, nothing)
 
 
-def beyond(channel: Channel, patches: Sequence[Active], sealed: Any) -> tuple[Array, NDArray[np.bool_]]:
+def beyond(channel: Channel, patches: Sequence[Active], sealed: Any) -> tuple[Array, Mask]:
     """Variance (n, k) SI^2 of what the patches leave open where they fade, and whether (n,) every condition of theirs lies in its
     measured range; `sealed`: conditions."""
     if not isinstance(channel, TrackerChannel):
@@ -117,7 +116,7 @@ def beyond(channel: Channel, patches: Sequence[Active], sealed: Any) -> tuple[Ar
     return open_, inside
 
 
-def _beyond_log(channel: Channel, patches: Sequence[Active], sealed: Any) -> tuple[Array, NDArray[np.bool_]]:
+def _beyond_log(channel: Channel, patches: Sequence[Active], sealed: Any) -> tuple[Array, Mask]:
     """`beyond` of a force log: as wide as the priors of the patches' features are in the log, on average."""
     from ocp.diagnose.force.channel import ForceChannel, logged_conditions  # blade and contact: only for those who measured force
 

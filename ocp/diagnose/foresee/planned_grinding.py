@@ -13,7 +13,7 @@ from itertools import zip_longest
 import numpy as np
 from scipy.special import expit
 
-from ocp.calibrate.force.log import Flags, ForceLog, Index
+from ocp.calibrate.force.log import ForceLog
 from ocp.calibrate.force.model import ForceRows
 from ocp.calibrate.force.noise import CorrelatedNoise, NoiseGroup, ReadingNoise, Runs, Whitener
 from ocp.calibrate.force.rows import log_conditions, prepare_force
@@ -32,7 +32,7 @@ from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.effects.effect import Active, Effect, Scanned, Surroundings
 from ocp.model.cell import Cell, read_tracker_setup
 from robots.calibration.store import Calibration
-from robots.pose import Array
+from robots.pose import Array, Index, Mask
 
 MOST = 2000  # rows of a plan that are looked at
 SIGMA = 0.3  # N, one sigma of a reading where the plan does not say
@@ -304,7 +304,7 @@ def _behind(channel: ForceChannel, do: str, wanted: list[Recording], more: float
     return PlannedGrinding(do, minutes, new, replace(made, setpoint=setpoint, belt=np.sign(belt), contact=contact))
 
 
-def _after(log: ForceLog, values: Array | None, cooled: Flags) -> Array | None:
+def _after(log: ForceLog, values: Array | None, cooled: Mask) -> Array | None:
     """A temperature (n,) after the log: as at its end, as low as it ever was where the wheel has cooled."""
     if values is None:
         return None
@@ -312,7 +312,7 @@ def _after(log: ForceLog, values: Array | None, cooled: Flags) -> Array | None:
     return np.where(cooled, values.min(), last)
 
 
-def _ground(log: ForceLog, rows: Index, sizes: list[int], contact: Flags) -> Index | None:
+def _ground(log: ForceLog, rows: Index, sizes: list[int], contact: Mask) -> Index | None:
     """How often (n,) the line of each new row was ground before."""
     if log.ground_before is None:
         return None

@@ -19,7 +19,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ocp.diagnose.engine.channel_system import SCALE, UNSEEN, Fold, HeldOut, ReadingConditions, Sealed, System, Variants
 from ocp.diagnose.joints.log import JointLog
@@ -32,9 +31,9 @@ from ocp.effects.motor_harmonic import ratios_of
 from robots.calibration.reading_model import RowInputs
 from robots.compliance import compliance_from_stiffness
 from robots.gauss_newton import Rule, minimise
-from robots.pose import Array
+from robots.pose import Array, Index, Mask
 from robots.robot import Robot
-from robots.tracker_readings import Hanging, Index
+from robots.tracker_readings import Hanging
 
 STEPS = 4
 RANK = 1e-12  # of the largest singular value; what the readings say less of stays where it is
@@ -168,7 +167,7 @@ class EncoderProblem:
             found[k, like] = 1.0 / max(len(like), 1)
         return found
 
-    def without_new_zeros(self, gap: Array, known: NDArray[np.bool_]) -> Array:
+    def without_new_zeros(self, gap: Array, known: Mask) -> Array:
         """Gap (n,) rad with the mean taken out of every joint and run that has none of the readings `known` (n,): its zero is
         free, and what was fitted to those says nothing of it."""
         group = self.joint * len(self.signals.log.runs) + self.signals.log.run[self.row]
@@ -177,7 +176,7 @@ class EncoderProblem:
             out[group == one] -= gap[group == one].mean()
         return out
 
-    def part(self, rows: NDArray[np.bool_]) -> "EncoderProblem":
+    def part(self, rows: Mask) -> "EncoderProblem":
         """The readings of a mask."""
         return replace(self, row=self.row[rows], joint=self.joint[rows])
 
@@ -376,7 +375,7 @@ class JointChannel:
 
     def held_out(self, fold: Fold, active: tuple[Active, ...]) -> HeldOut | None:
         """Judge `active` on a fold; None where too little is left."""
-        held: NDArray[np.bool_] = np.asarray(fold.held, bool)
+        held: Mask = np.asarray(fold.held, bool)
         p = self.problem
         least = min((int(np.sum(~held & (p.joint == j))) for j in np.unique(p.joint[held])), default=0)
         if held.sum() < LEAST_TEST or least < LEAST_TRAIN:
@@ -412,7 +411,7 @@ class JointChannel:
         sigma = np.sqrt(noise**2 + self._anew(joints, signals.log) ** 2 + unsure**2 + fitted_to)
         return Sealed(baseline, corrected, sigma, inside=inside)
 
-    def _inside(self, joints: Index, signals: Signals) -> NDArray[np.bool_]:
+    def _inside(self, joints: Index, signals: Signals) -> Mask:
         """Rows (n,) in which angle and speed of all joints lie where this channel's log has them."""
         found, own = np.full(len(signals.log), True), self.problem.signals
         for values, known in ((signals.log.q, own.log.q), (signals.qd, own.qd)):
@@ -429,7 +428,7 @@ class JointChannel:
         return np.asarray(unknown[log.run][:, None] * spread)
 
 
-def rubbing(nuisance: EncoderNuisance) -> NDArray[np.bool_]:
+def rubbing(nuisance: EncoderNuisance) -> Mask:
     """Which (p,) are friction in recorded torques: the evidence allows for them, the fit leaves them at zero."""
     return np.array([name.split()[0] in FRICTION_SD for name in nuisance.names])
 
@@ -456,7 +455,7 @@ def _unsure_of(
     return np.sum(modes**2, axis=1), modes @ step
 
 
-def fitted(problem: EncoderProblem, active: tuple[Active, ...], rows: NDArray[np.bool_]) -> JointChannel:
+def fitted(problem: EncoderProblem, active: tuple[Active, ...], rows: Mask) -> JointChannel:
     """The channel of all readings with the nuisance and the effects' values, with their covariance, that fit those of a mask
     best."""
     part = problem.part(rows)

@@ -8,8 +8,7 @@ import numpy as np
 from robots.column_mapping import SEALED, ColumnMapping
 from robots.csv_table import OURS, CsvTable, read_csv_table
 from robots.errors import BadInput
-from robots.pose import Array, Stacked
-from robots.tracker_readings import Index
+from robots.pose import Array, Index, Stacked
 
 AXES = tuple(f"q{i}_deg" for i in range(1, 7))
 LINK = tuple(f"link{i}_deg" for i in range(1, 7))

@@ -11,7 +11,6 @@ its accuracy class: so much of what springs, friction and a delay leave belongs 
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.linalg import cho_factor, solve_triangular
 from scipy.optimize import minimize
@@ -29,9 +28,9 @@ from ocp.diagnose.rules import (
     TORQUE_WINDOW,
 )
 from robots.gravity import weight_torques
-from robots.pose import Array
+from robots.pose import Array, Index, Mask
 from robots.robot import Robot
-from robots.tracker_readings import Hanging, Index
+from robots.tracker_readings import Hanging
 
 MOST = 1500  # readings kept of a log: more of them are no more independent, and the search is linear in them
 
@@ -53,18 +52,18 @@ class Signals:
     tau: Array
     viscous: Array
     dry: Array
-    measured: NDArray[np.bool_]
+    measured: Mask
     piece: Index
     splines: tuple[tuple[CubicSpline, ...], ...]
     sign: float = 1.0
 
-    def moving(self, joint: int) -> NDArray[np.bool_]:
+    def moving(self, joint: int) -> Mask:
         """Rows (n,) in which a joint moves; all where it mostly rests. Stick friction hides what load a joint at rest has."""
         speed = np.abs(self.qd[:, joint - 1])
         found = np.asarray(speed > RESTING_SPEED * speed.max())
         return found if found.mean() > 0.3 else np.ones(len(found), bool)
 
-    def inside(self) -> NDArray[np.bool_]:
+    def inside(self) -> Mask:
         """Rows (n,) away from the ends of their stretch, where the motor's angle a delay ago (or ahead) was recorded too."""
         out = np.zeros(len(self.log), bool)
         for k, of_run in enumerate(self.splines):
@@ -224,7 +223,7 @@ class EncoderNoise:
     slow: float
     slow_memory: float
     floor: float
-    good: NDArray[np.bool_]
+    good: Mask
 
 
 def state_columns(signals: Signals, joint: int, broad: bool) -> Array:
@@ -266,7 +265,7 @@ def noise_of(signals: Signals, joint: int) -> EncoderNoise:
     return EncoderNoise(white, quick, quick_memory, min(slow, ENCODER_ACCURACY), slow_memory, float(floor), good)
 
 
-def _left(columns: Array, gap: Array, good: NDArray[np.bool_]) -> Array:
+def _left(columns: Array, gap: Array, good: Mask) -> Array:
     """Residual of a regression on the good rows."""
     return np.asarray(gap[good] - columns[good] @ np.linalg.lstsq(columns[good], gap[good], rcond=1e-9)[0])
 

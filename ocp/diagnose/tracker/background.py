@@ -18,8 +18,7 @@ from scipy.special import logsumexp
 from ocp.diagnose.engine.evidence import Projection, project
 from ocp.diagnose.rules import BACKGROUND_SIZES, FURTHER_LINES, NO_BACKGROUND, NO_OTHER_RIPPLE
 from ocp.diagnose.tracker.refit import Task, TrackerFit, is_restless, usual_noise
-from robots.pose import Array
-from robots.tracker_readings import Index
+from robots.pose import Array, Index
 
 ORDERS = np.arange(3, 301)  # waves per turn, as the catalogue's gear_harmonic
 SWEEPS = 3

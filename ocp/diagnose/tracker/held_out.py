@@ -19,8 +19,8 @@ from ocp.effects.engine.readings import PlacedReadings, has_columns, together
 from robots.calibration.noise import reading_covariance
 from robots.calibration.residuals import points
 from robots.gauss_newton import linear_step
-from robots.pose import Array
-from robots.tracker_readings import Index, Readings
+from robots.pose import Array, Index
+from robots.tracker_readings import Readings
 
 LEAST_TRAIN, LEAST_TEST = 15, 3  # readings on each side of a fold that is judged
 PARTS = 5
