@@ -108,11 +108,14 @@ class EncoderProblem:
         for j in self.signals.log.joints:
             if joint in (0, j):
                 at = self.joint == j
-                out[at, 0] = -self.signals.speed(j, float(delays[j - 1]))[self.row[at]]
+                out[at, 0] = -self.signals.motor(j, float(delays[j - 1]), 1)[self.row[at]]
         return out
 
-    def columns(self, effect: Effect, joint: int, scans: Sequence[Scanned]) -> Array:
-        """Sensitivities (variants, readings, m) rad of the gap in an effect's coefficients; a recorded load holds all torques."""
+    def columns(self, effect: Effect, joint: int, scans: Sequence[Scanned], delays: Array) -> Array:
+        """Sensitivities (variants, readings, m) rad of the gap in an effect's coefficients, about the delays (6,) s; a recorded
+        load holds all torques."""
+        if effect.name == DELAY:
+            return np.stack([self.delay_column(joint, delays)] * len(scans))
         arm, total = self.arm, np.zeros((len(scans), len(self.arm), 6, effect.size))
         shares = {"joint": np.ones((len(arm), 6)), "torque": arm.block("c") * np.where(self.signals.measured, 0.0, 1.0)}
         for kind, share in shares.items():
@@ -206,9 +209,7 @@ def shift_of(problem: EncoderProblem, active: Sequence[Active]) -> Array:
 
 def column_of(problem: EncoderProblem, one: Active, delays: Array) -> Array:
     """Columns (n, m) of an active effect about the present delays."""
-    if one.effect.name == DELAY:
-        return problem.delay_column(one.joint, delays)
-    return problem.columns(one.effect, one.joint, [one.scanned])[0]
+    return np.asarray(problem.columns(one.effect, one.joint, [one.scanned], delays)[0])
 
 
 @dataclass(frozen=True)
@@ -344,17 +345,13 @@ class JointChannel:
         if self.blind(effect):
             return UNSEEN
         p = self.problem
-        if effect.name == DELAY:
-            if joint and (joint not in p.noise or len(p.noise) == 1):
-                return UNSEEN  # the delay of an only joint is the common one
-            scans = scans if scans is not None else [{}]
-            raw = [p.delay_column(joint, delays_of(p, self.active))] * len(scans)
-        else:
-            scans = list(scans if scans is not None else effect.scan(joint, self.surroundings))
-            raw = list(p.columns(effect, joint, scans)) if scans else []
-        if not any(np.abs(c).max(initial=0.0) > 0 for c in raw):
+        if effect.name == DELAY and joint and (joint not in p.noise or len(p.noise) == 1):
+            return UNSEEN  # the delay of an only joint is the common one
+        chosen = tuple(effect.scan(joint, self.surroundings) if scans is None else scans)
+        raw = p.columns(effect, joint, chosen, delays_of(p, self.active)) if chosen else np.zeros(0)
+        if not raw.any():
             return UNSEEN
-        return tuple(scans), p.whitened(np.hstack(raw)).reshape(len(p.row), len(scans), effect.size)
+        return chosen, p.whitened(np.hstack(list(raw))).reshape(len(p.row), len(chosen), effect.size)
 
     def with_active(self, active: tuple[Active, ...]) -> "JointChannel":
         """Offsets and coefficients refitted jointly. The noise stays: it was not taken from the gap."""

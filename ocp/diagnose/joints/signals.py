@@ -15,18 +15,8 @@ from scipy.interpolate import CubicSpline
 from scipy.linalg import cho_factor, solve_triangular
 from scipy.optimize import minimize
 
+from ocp.diagnose import rules
 from ocp.diagnose.joints.log import JointLog, refuse_torque_unit
-from ocp.diagnose.rules import (
-    ANGLE_WINDOW,
-    ENCODER_ACCURACY,
-    HOLE,
-    HOLE_ROWS,
-    LEAST_ENCODER_NOISE,
-    LONGEST_DELAY,
-    RECORDING_FAULT,
-    RESTING_SPEED,
-    TORQUE_WINDOW,
-)
 from robots.gravity import weight_torques
 from robots.pose import Array, Index, Mask
 from robots.robot import Robot
@@ -60,7 +50,7 @@ class Signals:
     def moving(self, joint: int) -> Mask:
         """Rows (n,) in which a joint moves; all where it mostly rests. Stick friction hides what load a joint at rest has."""
         speed = np.abs(self.qd[:, joint - 1])
-        found = np.asarray(speed > RESTING_SPEED * speed.max())
+        found = np.asarray(speed > rules.RESTING_SPEED * speed.max())
         return found if found.mean() > 0.3 else np.ones(len(found), bool)
 
     def inside(self) -> Mask:
@@ -69,25 +59,18 @@ class Signals:
         for k, of_run in enumerate(self.splines):
             rows = self.piece == k
             start, end = of_run[0].x[0], of_run[0].x[-1]
-            margin = min(LONGEST_DELAY, 0.05 * (end - start))
+            margin = min(rules.LONGEST_DELAY, 0.05 * (end - start))
             out[rows] = (self.log.time[rows] >= start + margin) & (self.log.time[rows] <= end - margin)
         return out
 
-    def motor(self, joint: int, delay: float) -> Array:
-        """Motor angle (n,) rad of a joint `delay` s before each instant; at the ends of a stretch the angle there."""
-        return self._at(joint, delay, 0)
-
-    def speed(self, joint: int, delay: float) -> Array:
-        """The same of the motor's speed, rad/s."""
-        return self._at(joint, delay, 1)
-
-    def _at(self, joint: int, delay: float, order: int) -> Array:
+    def motor(self, joint: int, delay: float, order: int = 0) -> Array:
+        """Motor angle (n,) rad of a joint `delay` s before each instant, or its derivative of an order; at the ends of a stretch
+        the one there."""
         out = np.empty(len(self.log))
         for k, of_run in enumerate(self.splines):
             rows = self.piece == k
             spline = of_run[joint - 1]
-            at = self.log.time[rows] - delay
-            out[rows] = spline(np.clip(at, spline.x[0], spline.x[-1]), order)
+            out[rows] = spline(np.clip(self.log.time[rows] - delay, spline.x[0], spline.x[-1]), order)
         return out
 
 
@@ -134,7 +117,7 @@ def _pieces(log: JointLog) -> Index:
     usual = np.array(
         [np.median(step[same & (log.run[1:] == k)]) if np.sum(log.run == k) > 1 else 0.0 for k in range(len(log.runs))]
     )
-    hole = step > np.maximum(HOLE_ROWS * usual[log.run[1:]], HOLE)
+    hole = step > np.maximum(rules.HOLE_ROWS * usual[log.run[1:]], rules.HOLE)
     return np.concatenate([[0], np.cumsum(~same | hole)])
 
 
@@ -149,7 +132,7 @@ def _motion(log: JointLog, piece: Index) -> tuple[tuple[tuple[CubicSpline, ...],
         if len(rows) < 4:  # a stretch too short to differentiate stands still
             splines.append(tuple(CubicSpline([time[0], time[0] + 1.0], [angle, angle]) for angle in log.q[rows[0]]))
             continue
-        smooth = _over(log.q[rows], time, ANGLE_WINDOW)
+        smooth = _over(log.q[rows], time, rules.ANGLE_WINDOW)
         of_piece = tuple(CubicSpline(time, smooth[:, j]) for j in range(6))
         splines.append(of_piece)
         qd[rows] = np.stack([s(time, 1) for s in of_piece], axis=1)
@@ -157,7 +140,7 @@ def _motion(log: JointLog, piece: Index) -> tuple[tuple[tuple[CubicSpline, ...],
     top = np.abs(qd).max(axis=0)
     for k in range(piece[-1] + 1):
         rows = np.flatnonzero(piece == k)
-        sign = np.where(np.abs(qd[rows]) > RESTING_SPEED * top, np.sign(qd[rows]), 0.0)
+        sign = np.where(np.abs(qd[rows]) > rules.RESTING_SPEED * top, np.sign(qd[rows]), 0.0)
         direction[rows] = np.stack([_held(sign[:, j]) for j in range(6)], axis=1)
         for j in np.flatnonzero(sign.any(axis=0)):
             moves = np.flatnonzero(sign[:, j])
@@ -186,7 +169,7 @@ def _smoothed(log: JointLog, piece: Index, tau: Array) -> Array:
     out = np.nan_to_num(tau)
     for k in range(piece[-1] + 1):
         rows = np.flatnonzero(piece == k)
-        out[rows] = _over(out[rows], log.time[rows], TORQUE_WINDOW)
+        out[rows] = _over(out[rows], log.time[rows], rules.TORQUE_WINDOW)
     return out
 
 
@@ -248,7 +231,7 @@ def noise_of(signals: Signals, joint: int) -> EncoderNoise:
     columns = state_columns(signals, joint, broad=True)
     for _ in range(3):
         left = _left(columns, gap, good)
-        wild = np.abs(left) > RECORDING_FAULT * max(1.4826 * float(np.median(np.abs(left))), LEAST_ENCODER_NOISE)
+        wild = np.abs(left) > rules.RECORDING_FAULT * max(1.4826 * float(np.median(np.abs(left))), rules.LEAST_ENCODER_NOISE)
         if not wild.any():
             break
         good[np.flatnonzero(good)[wild]] = False
@@ -258,11 +241,11 @@ def noise_of(signals: Signals, joint: int) -> EncoderNoise:
     white, quick, quick_memory = _likeliest(left, pieces, time)
     # What a spring, friction and a delay leave is the encoder's own up to its accuracy class, not a gap of the robot.
     plain = _left(state_columns(signals, joint, broad=False), gap, good)
-    slow = float(np.sqrt(max(float(np.mean(plain**2)) - white**2 - quick**2, LEAST_ENCODER_NOISE**2)))
+    slow = float(np.sqrt(max(float(np.mean(plain**2)) - white**2 - quick**2, rules.LEAST_ENCODER_NOISE**2)))
     _, _, slow_memory = _likeliest(plain, pieces, time, longest=True)
     step = float(np.median(np.diff(time)))
     floor = np.hypot(white, quick * np.sqrt(1.0 - np.exp(-step / quick_memory)))
-    return EncoderNoise(white, quick, quick_memory, min(slow, ENCODER_ACCURACY), slow_memory, float(floor), good)
+    return EncoderNoise(white, quick, quick_memory, min(slow, rules.ENCODER_ACCURACY), slow_memory, float(floor), good)
 
 
 def _left(columns: Array, gap: Array, good: Mask) -> Array:
@@ -284,7 +267,7 @@ def covariance(time: Array, noise: EncoderNoise) -> Array:
     """Of one block at `time` (m,) s, (m, m) rad^2."""
     apart = np.abs(time[:, None] - time[None, :])
     wander = noise.quick**2 * np.exp(-apart / noise.quick_memory) + noise.slow**2 * np.exp(-apart / noise.slow_memory)
-    return np.asarray(wander + (noise.white**2 + LEAST_ENCODER_NOISE**2) * np.eye(len(time)))
+    return np.asarray(wander + (noise.white**2 + rules.LEAST_ENCODER_NOISE**2) * np.eye(len(time)))
 
 
 def factors(time: Array, pieces: list[Index], noise: EncoderNoise) -> list[tuple[Index, Array]]:
@@ -302,7 +285,7 @@ def whiten_blocks(roots: list[tuple[Index, Array]], columns: Array) -> Array:
 
 def _likeliest(left: Array, pieces: list[Index], time: Array, longest: bool = False) -> tuple[float, float, float]:
     """White rad, wander rad and memory s of residuals; `longest`: of at least a tenth of a block, for what wanders slowly."""
-    size = max(float(np.sqrt(np.mean(left**2))), LEAST_ENCODER_NOISE)
+    size = max(float(np.sqrt(np.mean(left**2))), rules.LEAST_ENCODER_NOISE)
     # The parts of a long log say the same; a few are enough, of slow wander every so manieth instant.
     pieces = pieces[:: max(1, len(pieces) // 3)]
     pieces = [p[:: -(-len(p) // FEW)] if longest else p[:FEW] for p in pieces]
