@@ -168,7 +168,7 @@ def test_columns_are_what_the_refitted_balance_does(made, name):
             for sign in (1.0, -1.0):
                 one = replace(_active(name, joint, dict(scanned)), a=sign * a)
                 there = predict_forces(scene, at.x, (one,), at)
-                both.append(np.concatenate([there.fn[rows], there.ft[rows]]))
+                both.append(there.read[:, rows].ravel())
             difference = 0.5 * (both[0] - both[1])
             column = np.concatenate([c[0][rows, k] for c in made_columns]) * a[k]
             size = np.abs(difference).max()
@@ -415,8 +415,7 @@ def test_setpoints_that_nobody_wrote_down_are_read_off_and_open_in_the_fit(made,
     for k, run in enumerate((5, 6)):  # its column is what another setpoint does to both readings
         more = replace(scene, rows=replace(scene.rows, setpoint=scene.rows.setpoint + 0.5 * (log.run == run)))
         ends = [predict_forces(s, channel.fit.at.x, (), channel.fit.at) for s in (scene, more)]
-        for end, column in (("fn", offsets.normal), ("ft", offsets.shear)):
-            change = (getattr(ends[1], end) - getattr(ends[0], end)) / 0.5
+        for change, column in zip((ends[1].read - ends[0].read) / 0.5, (offsets.normal, offsets.shear), strict=True):
             wanted = column[:, offsets.runs + k] / read_off.setpoint_sd.max()
             # Wheel and blade give way to more force, so the flange's spring lets go of a seventh of it.
             np.testing.assert_allclose(change, 0.87 * wanted, atol=0.05 * np.abs(wanted).max())
@@ -449,7 +448,7 @@ def test_forces_that_no_operator_chose_are_no_setpoints(made):
 
 
 def test_a_fit_that_leaves_far_more_than_none_is_no_fit(made, monkeypatch):
-    off = replace(made.channel.fit, at=replace(made.channel.fit.at, fn=made.channel.fit.at.fn + 3.0))
+    off = replace(made.channel.fit, at=replace(made.channel.fit.at, read=made.channel.fit.at.read + [[3.0], [0.0]]))
     monkeypatch.setattr("ocp.diagnose.force.channel.fit_effects", lambda *told: off)
     with pytest.raises(Infeasible, match="with sensor_bias the fit of the force log runs off"):
         made.channel.with_active((_active("sensor_bias"),))
@@ -470,7 +469,7 @@ def test_friction_follows_the_setpoint_and_the_stroke_follows_the_force(made, mo
     assert told[rows] == pytest.approx(differences, abs=0.02)
     heard = []
     with monkeypatch.context() as patch:
-        patch.setattr(prediction, "carried", lambda scene, at, past: heard.append(past) or (0.0, 0.0))
+        patch.setattr(prediction, "carried", lambda scene, at, past: heard.append(past) or 0.0)
         nuisance_derivatives(scene, at, slopes[0])
     strokes = [end.samples[:, PLACE["parts"]][rows, 0] for end in ends]
     assert heard[0][1][rows, setpoint] == pytest.approx((strokes[0] - strokes[1]) / (2 * h), rel=1e-3, abs=1e-8)

@@ -260,7 +260,7 @@ def test_what_cannot_be_computed_later_is_no_alternative_and_promises_nothing(wo
 
     def made(*given):
         told = predict_forces(*given)
-        return replace(told, fn=np.full_like(told.fn, np.nan)) if next(calls) % 3 == lost else told
+        return replace(told, read=np.full_like(told.read, np.nan)) if next(calls) % 3 == lost else told
 
     monkeypatch.setattr(shrinkage, "predict_forces", made)
     others = (Alternative(0.6, after.active), Alternative(0.4, ()))

@@ -177,7 +177,7 @@ class ForceChannel:
                 made = effect_derivatives(*about, self.fit.slopes, effect, joint, some)
                 if made is None:
                     return UNSEEN
-                found.append(self.averages.variants(made[: len(self.averages.whiteners)]))
+                found.append(self.averages.variants([*made][: len(self.averages.whiteners)]))
         return (chosen, np.concatenate(found, axis=1)) if found else UNSEEN
 
     def scan(self, effect: Effect, joint: int) -> tuple[Scanned, ...]:
@@ -328,7 +328,7 @@ def surroundings(problem: ForceProblem) -> Surroundings:
 def known_conditions(problem: ForceProblem, fit: EffectFit, waves: tuple[Wave, ...] = ()) -> ReadingConditions:
     """Of the log's rows, for what is tested without the library."""
     log = problem.log
-    reads = np.stack([fit.at.fn_slope] if log.ft is None else [fit.at.fn_slope, fit.at.ft_slope], axis=1)
+    reads = np.stack(list(fit.at.slope[: len(fit.whiteners)]), axis=1)
     known = replace(logged_conditions(problem, log, problem.scene.conditions), waves=waves)
     ratios, joints = ratios_of(surroundings(problem)), reads[:, :, None] * fit.slopes[1][:, None]
     return replace(known, d_joints=joints, pressed=reads * log.contact[:, None], gear_ratio=ratios)

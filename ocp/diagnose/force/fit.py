@@ -80,7 +80,7 @@ class ForceProblem:
         r, o = self.sizes
         own = z[r : r + o]
         normal = self.log.fn - at.fn - self.offsets.normal @ own
-        return (normal,) if self.log.ft is None else (normal, self.log.ft - at.ft - self.offsets.shear @ own)
+        return (normal,) if self.log.ft is None else (normal, self.log.ft - at.read[1] - self.offsets.shear @ own)
 
     def gap(self, at: Predicted, z: Array) -> Array:
         """Measured less predicted normal reading (n,) N where single runs' own offsets count as gap."""
@@ -148,20 +148,15 @@ def linear_normal(problem: ForceProblem, scene: LogScene, at: Predicted) -> Arra
     return _columns(problem, scene, at, force_derivatives(scene, at), problem.offsets.none(len(at.F)))[0]
 
 
-def _columns(
-    problem: ForceProblem, scene: LogScene, at: Predicted, slopes: tuple[Array, Array], own: RunOffsets
-) -> tuple[Array, Array]:
-    """Derivatives (n, k) N of fn and ft in z."""
-    fn, ft = nuisance_derivatives(scene, at, slopes[0])
-    root = problem.believed.root
-    normal, shear = [fn @ root, own.normal], [ft @ root, own.shear]
+def _columns(problem: ForceProblem, scene: LogScene, at: Predicted, slopes: tuple[Array, Array], own: RunOffsets) -> Array:
+    """Derivatives (2, n, k) N of fn and ft in z."""
+    parts = [nuisance_derivatives(scene, at, slopes[0]) @ problem.believed.root, np.stack([own.normal, own.shear])]
     for one in at.active:
         made = effect_derivatives(scene, at, slopes, one.effect, one.joint, [one.scanned])
         if made is None:  # a value so far off that nothing touches, or everything
             raise Infeasible(f"{problem.log.path}: with {one.effect.name} the fit of the force log leaves what can be computed")
-        normal.append(made[0][0] * np.asarray(one.effect.prior_sd))
-        shear.append(made[1][0] * np.asarray(one.effect.prior_sd))
-    return np.hstack(normal), np.hstack(shear)
+        parts.append(made[:, 0] * np.asarray(one.effect.prior_sd))
+    return np.concatenate(parts, axis=2)
 
 
 def fit_effects(problem: ForceProblem, active: tuple[Active, ...] = (), start: EffectFit | None = None) -> EffectFit:

@@ -101,10 +101,10 @@ def log_averages(
     for one in fit.active:
         both = effect_derivatives(problem.scene, fit.at, fit.slopes, one.effect, one.joint, [one.scanned])
         if both is not None:
-            chosen.append(_lost(fit, [c[0] for c in both]))
+            chosen.append(_lost(fit, both[:, 0]))
     chosen += [_lost(fit, [wave.columns, np.zeros_like(wave.columns)][:count]) for wave in waves]
-    slopes = np.stack([fit.at.fn_slope, fit.at.ft_slope][:count])
-    chosen += [_lost(fit, list(slopes[:, :, None] * wave.columns)) for wave in waves if wave.where.endswith(BY_RUN)]
+    slopes = fit.at.slope[:count]
+    chosen += [_lost(fit, slopes[:, :, None] * wave.columns) for wave in waves if wave.where.endswith(BY_RUN)]
     for effect in effects:
         if effect.on_arm or effect.along is not None or not _is_fast(problem, fit, effect, around):
             continue
@@ -115,7 +115,7 @@ def log_averages(
     return LogAverages(fit.whiteners, patterns, back, slopes, problem.log.contact)
 
 
-def _lost(fit: EffectFit, columns: Sequence[Array]) -> Array:
+def _lost(fit: EffectFit, columns: Iterable[Array]) -> Array:
     """What the averages lose of columns (n, m) of each signal, whitened: (S, n, m)."""
     return np.stack([w.lost(w.whole(c)) for w, c in zip(fit.whiteners, columns, strict=False)])
 
@@ -143,7 +143,7 @@ def _whole(problem: ForceProblem, fit: EffectFit, effect: Effect, scans: Sequenc
     for start in range(0, len(scans), TOGETHER):
         made = effect_derivatives(problem.scene, fit.at, fit.slopes, effect, 0, scans[start : start + TOGETHER])
         assert made is not None
-        parts.append(np.stack(made[: len(fit.whiteners)]))
+        parts.append(made[: len(fit.whiteners)])
     columns = np.concatenate(parts, axis=1)
     store[effect.name] = (tuple(scans), columns)
     return list(columns)

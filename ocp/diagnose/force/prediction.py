@@ -23,8 +23,8 @@ from ocp.model.theta import Theta
 from robots.pose import Array, Index, Mask
 
 M = Theta.size
-Both = tuple[Array, Array]  # of fn and ft, N
-Past = tuple[Array, Array, Array, Array]  # force N, stroke m and both readings N (n,), or columns (n, k) of their changes
+HOOKS = ("sensor", "shear")  # of an effect that changes one reading alone: fn, ft
+Past = tuple[Array, Array, Array]  # force N, stroke m (n,) and both readings N (2, n), or columns (.., k) of their changes
 TOLERANCE = 2e-4  # N: a step of Newton below this leaves less than 1e-7 N
 ZEROED = (
     "parts",
@@ -79,22 +79,25 @@ class LogScene:
 
 @dataclass(frozen=True)
 class Predicted:
-    """Of n rows at one estimate: parameters x and active effects; contact force F (n,) N; readings fn, ft (n,) N; samples
-    (n, k) of all rows; stiffness (n,) N/m; fn_slope, ft_slope (n,): of the readings in F; the rows in contact as the balance had
-    them; prompt (n,), (n,) N: what of both readings a delay shifts, the contact's own. What the sensor adds is slow, or of free
+    """Of n rows at one estimate: parameters x and active effects; contact force F (n,) N; both readings, fn and ft, read (2, n)
+    N; samples (n, k) of all rows; stiffness (n,) N/m; slope (2, n): of the readings in F; the rows in contact as the balance had
+    them; prompt (2, n) N: what of both readings a delay shifts, the contact's own. What the sensor adds is slow, or of free
     phase: shifted with it, a wave's phase and the delay would be one curved valley."""
 
     x: Array
     active: tuple[Active, ...]
     F: Array
-    fn: Array
-    ft: Array
+    read: Array
     samples: Array
     stiffness: Array
-    fn_slope: Array
-    ft_slope: Array
+    slope: Array
     rows: PlacedRows
-    prompt: tuple[Array, Array]
+    prompt: Array
+
+    @property
+    def fn(self) -> Array:
+        """Normal reading (n,) N."""
+        return np.asarray(self.read[0])
 
 
 def predict_forces(scene: LogScene, x: Array, active: Sequence[Active] = (), near: Predicted | None = None) -> Predicted:
@@ -122,19 +125,14 @@ def predict_forces(scene: LogScene, x: Array, active: Sequence[Active] = (), nea
     samples, F, stiffness = scene.air.copy(), np.zeros(n), np.zeros(n)
     samples[at] = samples_of(scene.cell, rows, inside, force, state, stiff)
     F[at], stiffness[at] = force, stiff
-    fn, ft = _readings(scene, x, whole, samples, F)
-    fn_slope, ft_slope = np.ones(n), scene.shear * (1.0 + x[SHEAR_GAIN])
+    read, slope = _readings(scene, x, whole, samples, F), _prompt_slope(scene, x)
     if any(a.effect.sensor is not None or a.effect.shear is not None for a in whole):
         more = samples.copy()
         more[:, PLACE["F"].start] = F + PROBE
-        fn_more, ft_more = _readings(scene, x, whole, more, F + PROBE)
-        fn_slope, ft_slope = (fn_more - fn) / PROBE, (ft_more - ft) / PROBE
-    made = Predicted(x, tuple(active), F, fn, ft, samples, stiffness, fn_slope, ft_slope, rows, _own(scene, x, F))
-    late_n, late_t = np.zeros(n), np.zeros(n)
-    for one in remembering(scene, made):
-        add_n, add_t = remembered(scene, made, one.effect, one.joint, one.scanned)
-        late_n, late_t = late_n + add_n @ one.a, late_t + add_t @ one.a
-    return replace(made, fn=fn + late_n, ft=ft + late_t)
+        slope = (_readings(scene, x, whole, more, F + PROBE) - read) / PROBE
+    made = Predicted(x, tuple(active), F, read, samples, stiffness, slope, rows, _own(scene, x, F))
+    late = [remembered(scene, made, one.effect, one.joint, one.scanned) @ one.a for one in remembering(scene, made)]
+    return replace(made, read=read + sum(late, np.zeros_like(read)))
 
 
 def placed_rows(scene: LogScene, x: Array, active: Sequence[Active]) -> PlacedRows:
@@ -164,21 +162,18 @@ def interference(cell: Cell, effect: Effect, joint: int, scans: Sequence[Scanned
     return out
 
 
-def remembered(scene: LogScene, made: Predicted, effect: Effect, joint: int, scanned: Scanned) -> tuple[Array, Array]:
-    """What an effect that remembers the log adds to both readings (n, m) N per unit coefficient."""
+def remembered(scene: LogScene, made: Predicted, effect: Effect, joint: int, scanned: Scanned) -> Array:
+    """What an effect that remembers the log adds to both readings (2, n, m) N per unit coefficient."""
     assert effect.size == 1, f"{effect.name}: what remembers has one coefficient"
     stroke = made.samples[:, PLACE["parts"].start]
-    return _memory(scene, made, effect, joint, scanned, (made.F, stroke, *made.prompt))
+    return _memory(scene, made, effect, joint, scanned, (made.F, stroke, made.prompt))
 
 
-def carried(scene: LogScene, made: Predicted, changes: Past) -> tuple[Array, Array]:
+def carried(scene: LogScene, made: Predicted, changes: Past) -> Array:
     """What the memory of all that is active makes of changes (n, k) of the force N, of the flange's stroke m and of the contact's
-    own share of both readings N: in both readings (n, k) N."""
-    normal, shear = np.zeros_like(changes[2]), np.zeros_like(changes[3])
-    for one in remembering(scene, made):
-        more = _memory(scene, made, one.effect, one.joint, one.scanned, changes)
-        normal, shear = normal + one.a[0] * more[0], shear + one.a[0] * more[1]
-    return normal, shear
+    own share of both readings N: in both readings (2, n, k) N."""
+    each = ((one, _memory(scene, made, one.effect, one.joint, one.scanned, changes)) for one in remembering(scene, made))
+    return sum((one.a[0] * more for one, more in each), np.zeros_like(changes[2]))
 
 
 def remembering(scene: LogScene, made: Predicted) -> list[Active]:
@@ -186,8 +181,8 @@ def remembering(scene: LogScene, made: Predicted) -> list[Active]:
     return [a for a in (*scene.given, *made.active) if a.effect.along is not None or a.effect.along_shear is not None]
 
 
-def _memory(scene: LogScene, made: Predicted, effect: Effect, joint: int, scanned: Scanned, past: Past) -> tuple[Array, Array]:
-    """Memory (n, k) N of a past in both readings; k is one where that has no columns."""
+def _memory(scene: LogScene, made: Predicted, effect: Effect, joint: int, scanned: Scanned, past: Past) -> Array:
+    """Memory (2, n, k) N of a past in both readings; k is one where that has no columns."""
     c, parts, slopes = scene.conditions, made.samples[:, PLACE["parts"]], made.samples[:, PLACE["slopes"]]
     whole = slopes.sum(axis=1, keepdims=True)
     share = np.divide(slopes, whole, out=np.zeros_like(slopes), where=whole > 0)
@@ -201,38 +196,31 @@ def _memory(scene: LogScene, made: Predicted, effect: Effect, joint: int, scanne
         stiffness=np.divide(1.0, whole[:, 0], out=np.zeros(len(whole)), where=whole[:, 0] > 0),
         wheel_share=share[:, 1],
         flange_share=share[:, 0],
-        fn=past[2],
-        ft=past[3],
+        fn=past[2][0],
+        ft=past[2][1],
         contact=c.contact.astype(float),
         clock=c.clock if "clock_s" in c.given else None,
         **same,
     )
-    shear = None if effect.along_shear is None else np.asarray(effect.along_shear(log, joint, scanned), float)
-    if effect.along is None:
-        assert shear is not None
-        return np.zeros_like(shear), shear
-    normal = np.asarray(effect.along(log, joint, scanned), float)
-    if shear is not None:
-        return normal, shear
+    normal = np.zeros(1) if effect.along is None else np.asarray(effect.along(log, joint, scanned), float)
     # What the contact itself lets go, both readings show; a shift of one reading says so by a hook of its own.
-    return normal, normal * scene.shear[:, None]
+    shear = normal * scene.shear[:, None] if effect.along_shear is None else effect.along_shear(log, joint, scanned)
+    return np.stack(np.broadcast_arrays(normal, shear))
 
 
-def _readings(scene: LogScene, x: Array, active: Sequence[Active], samples: Array, F: Array) -> tuple[Array, Array]:
-    """Both readings (n,) N with what active effects do to the sensor, before anything that remembers."""
-    fn, ft = _own(scene, x, F)
+def _readings(scene: LogScene, x: Array, active: Sequence[Active], samples: Array, F: Array) -> Array:
+    """Both readings (2, n) N with what active effects do to the sensor, before anything that remembers."""
+    out = _own(scene, x, F)
     for one in active:
-        e = one.effect
-        if e.sensor is not None:
-            fn = fn + hook_columns(scene.cell, e, "sensor", one.joint, [one.scanned], samples)[0] @ one.a
-        if e.shear is not None:
-            ft = ft + hook_columns(scene.cell, e, "shear", one.joint, [one.scanned], samples)[0] @ one.a
-    return fn, ft
+        for reading, hook in zip(out, HOOKS, strict=True):
+            if getattr(one.effect, hook) is not None:
+                reading += hook_columns(scene.cell, one.effect, hook, one.joint, [one.scanned], samples)[0] @ one.a
+    return out
 
 
-def _own(scene: LogScene, x: Array, F: Array) -> tuple[Array, Array]:
-    """Both readings (n,) N of the contact's own force."""
-    return F + x[BIAS], scene.shear * F * (1.0 + x[SHEAR_GAIN]) + x[SHEAR_BIAS]
+def _own(scene: LogScene, x: Array, F: Array) -> Array:
+    """Both readings (2, n) N of the contact's own force."""
+    return np.stack([F + x[BIAS], scene.shear * F * (1.0 + x[SHEAR_GAIN]) + x[SHEAR_BIAS]])
 
 
 def force_derivatives(scene: LogScene, at: Predicted) -> tuple[Array, Array]:
@@ -246,46 +234,44 @@ def force_derivatives(scene: LogScene, at: Predicted) -> tuple[Array, Array]:
     return theta, joints
 
 
-def nuisance_derivatives(scene: LogScene, at: Predicted, theta: Array) -> Both:
-    """Derivatives (n, len(NUISANCE)) of fn and ft in the nuisance; theta (n, M): those of the force."""
-    n = len(at.F)
-    fn, ft = np.zeros((n, len(NUISANCE))), np.zeros((n, len(NUISANCE)))
-    fn[:, :M], ft[:, :M] = at.fn_slope[:, None] * theta, at.ft_slope[:, None] * theta
-    fn[:, BIAS] = 1.0
-    ft[:, SHEAR_GAIN], ft[:, SHEAR_BIAS] = scene.shear * at.F, 1.0
+def nuisance_derivatives(scene: LogScene, at: Predicted, theta: Array) -> Array:
+    """Derivatives (2, n, len(NUISANCE)) of fn and ft in the nuisance; theta (n, M): those of the force."""
+    force = np.zeros((len(at.F), len(NUISANCE)))
+    force[:, :M] = theta
+
+    def read(slope: Array) -> Array:
+        out = slope[:, :, None] * force
+        out[0, :, BIAS] = out[1, :, SHEAR_BIAS] = 1.0
+        out[1, :, SHEAR_GAIN] = scene.shear * at.F
+        return out
+
+    found = read(at.slope)
     if remembering(scene, at):
-        force = np.zeros_like(fn)
-        force[:, :M] = theta
-        own, shear = force.copy(), force * _shear(scene, at)[:, None]
-        own[:, BIAS], shear[:, SHEAR_GAIN], shear[:, SHEAR_BIAS] = 1.0, scene.shear * at.F, 1.0
         stroke, rows = force * _soft(at), scene.touching
         placed, held = PlacedRows(at.rows.base, at.rows.theta), np.maximum(at.F[rows], scene.model.least_force)
         stroke[rows, :M] += scene.model.evaluate("stroke", placed, held)
-        late_n, late_t = carried(scene, at, (force, stroke, own, shear))
-        fn, ft = fn + late_n, ft + late_t
-    return fn, ft
+        found += carried(scene, at, (force, stroke, read(_prompt_slope(scene, at.x))))
+    return found
 
 
 def effect_derivatives(
     scene: LogScene, at: Predicted, slopes: tuple[Array, Array], effect: Effect, joint: int, scans: Sequence[Scanned]
-) -> Both | None:
-    """Change (V, n, m) N of fn and ft per unit coefficient of each variant; None where the log does not say what the effect
+) -> Array | None:
+    """Change (2, V, n, m) N of fn and ft per unit coefficient of each variant; None where the log does not say what the effect
     depends on. `slopes`: of `force_derivatives`."""
     force = force_changes(scene, at, slopes, effect, joint, scans)
-    fn, ft = at.fn_slope[:, None, None] * force, at.ft_slope[:, None, None] * force
-    if effect.sensor is not None:
-        fn += hook_columns(scene.cell, effect, "sensor", joint, scans, at.samples).swapaxes(0, 1)
-    if effect.shear is not None:
-        ft += hook_columns(scene.cell, effect, "shear", joint, scans, at.samples).swapaxes(0, 1)
+    out = at.slope[:, :, None, None] * force
+    for reading, hook in zip(out, HOOKS, strict=True):
+        if getattr(effect, hook) is not None:
+            reading += hook_columns(scene.cell, effect, hook, joint, scans, at.samples).swapaxes(0, 1)
     if remembering(scene, at) and force.any():
         own = force.reshape(len(force), -1)
-        late_n, late_t = carried(scene, at, (own, own * _soft(at), own, own * _shear(scene, at)[:, None]))
-        fn, ft = fn + late_n.reshape(fn.shape), ft + late_t.reshape(ft.shape)
+        past = own, own * _soft(at), _prompt_slope(scene, at.x)[:, :, None] * own
+        out += carried(scene, at, past).reshape(out.shape)
     if effect.along is not None or effect.along_shear is not None:
         for v, scanned in enumerate(scans):
-            late_n, late_t = remembered(scene, at, effect, joint, scanned)
-            fn[:, v], ft[:, v] = fn[:, v] + late_n, ft[:, v] + late_t
-    return (fn.swapaxes(0, 1), ft.swapaxes(0, 1)) if np.isfinite(fn).all() and np.isfinite(ft).all() else None
+            out[:, :, v] += remembered(scene, at, effect, joint, scanned)
+    return out.swapaxes(1, 2) if np.isfinite(out).all() else None
 
 
 def force_changes(
@@ -319,6 +305,6 @@ def _soft(at: Predicted) -> Array:
     return at.samples[:, PLACE["slopes"]][:, :1]
 
 
-def _shear(scene: LogScene, at: Predicted) -> Array:
-    """The contact's own tangential reading (n,) per newton of its force."""
-    return np.asarray(scene.shear * (1.0 + at.x[SHEAR_GAIN]))
+def _prompt_slope(scene: LogScene, x: Array) -> Array:
+    """The contact's own readings (2, n) per newton of its force."""
+    return np.stack([np.ones(len(scene.shear)), scene.shear * (1.0 + x[SHEAR_GAIN])])

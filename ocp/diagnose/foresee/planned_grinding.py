@@ -82,14 +82,14 @@ class Shared:
     def _own(self) -> Projection:
         """Of the recordings' offsets."""
         own = self.channel.problem.offsets
-        return project(self._rows(own.normal, own.shear), np.ones(own.count))
+        return project(self._rows((own.normal, own.shear)), np.ones(own.count))
 
     @cached_property
     def system(self) -> System:
         """Whitened rows without a residual; the nuisance of all recordings."""
         problem, fit = self.channel.problem, self.channel.fit
-        normal, shear = nuisance_derivatives(problem.scene, fit.at, fit.slopes[0])
-        columns = self._own.apply(self._rows(normal @ problem.believed.root, shear @ problem.believed.root))
+        both = nuisance_derivatives(problem.scene, fit.at, fit.slopes[0]) @ problem.believed.root
+        columns = self._own.apply(self._rows(tuple(both)))
         n, p = columns.shape
         return System(np.zeros(n), columns, np.ones(p), np.zeros(p), reading=np.zeros(n, np.int64))
 
@@ -99,9 +99,9 @@ class Shared:
         own = [self._own.apply(columns[:, v]) for v in range(len(found))]
         return (found, np.stack(own, axis=1)) if found else UNSEEN
 
-    def _rows(self, normal: Array, shear: Array) -> Array:
+    def _rows(self, both: Sequence[Array]) -> Array:
         averages = self.channel.averages
-        return averages.rows((normal, shear)[: len(averages.whiteners)])
+        return averages.rows(both[: len(averages.whiteners)])
 
 
 def _unmeasured(
@@ -110,7 +110,7 @@ def _unmeasured(
     """The problem with readings as predicted at nuisance z and these effects, and the fit that stands there."""
     x = problem.believed.mean + problem.believed.root @ z
     at = predict_forces(problem.scene, x, active)
-    log = replace(problem.log, fn=at.fn, ft=None if problem.log.ft is None else at.ft)
+    log = replace(problem.log, fn=at.fn, ft=None if problem.log.ft is None else at.read[1])
     problem = replace(problem, log=log)
     whole = np.concatenate([z, np.zeros(problem.sizes[1]), units_of(active)])
     made = linear(problem, whole, at, whiteners)
