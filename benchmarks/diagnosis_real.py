@@ -92,11 +92,10 @@ def effects(spec: str, channel: TrackerChannel) -> tuple[Active, ...]:
     return tuple(found)
 
 
-def selected_in(channel: TrackerChannel) -> tuple[SelectedEffects, tuple[Active, ...]]:
+def selected_in(channel: TrackerChannel) -> SelectedEffects:
     """What holds where conditions are left out, found on at most MOST_SEARCHED readings."""
     few = channel.thinned(MOST_SEARCHED)
-    found = select_on_held_out(few.system, candidates((few,), library(), Options()), few.folds())
-    return found, tuple(Active(library()[s.name.effect], s.name.joint, s.a, s.scanned, np.eye(len(s.a))) for s in found.steps)
+    return select_on_held_out(few.system, candidates((few,), library(), Options()), few.folds())
 
 
 def told(one: Active) -> str:
@@ -173,10 +172,10 @@ def terms_part(name: str, channel: TrackerChannel) -> None:
 def selected_part(channel: TrackerChannel) -> None:
     """Forward selection by folds."""
     began = time.process_time()
-    found, active = selected_in(channel)
+    found = selected_in(channel)
     print("| accepted | mean log mean square of the folds |\n|---|---|")
-    for step, one in zip(found.steps, active, strict=True):
-        print(f"| {told(one)} | {step.score:.2f} |")
+    for one, score in zip(found.active, found.scores, strict=True):
+        print(f"| {told(one)} | {score:.2f} |")
     print("\n| refused | gain on all readings | fold | its mean square against none | beside |\n|---|---|---|---|---|")
     for r in found.refused:
         print(f"| {r.name} | {r.gain:.0f} | {r.fold} | {r.ratio:.2f} | {r.beside} |")

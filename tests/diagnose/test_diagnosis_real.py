@@ -100,8 +100,8 @@ def line_of(n=300, seed=1):
 def test_the_form_that_holds_where_nobody_measured_is_accepted_and_the_other_is_an_impostor():
     system, offers, halves = line_of()
     found = select_on_held_out(system, offers, halves)
-    assert [s.name for s in found.steps] == [Name("joint_compliance", 2)]
-    assert found.steps[0].a[0] == pytest.approx(0.4, rel=0.15)
+    assert [a.key for a in found.active] == [("joint_compliance", 2)]
+    assert found.active[0].a[0] == pytest.approx(0.4, rel=0.15)
     (impostor,) = found.refused
     assert impostor.name == Name("gear_1x", 2) and impostor.ratio > 1.25
 
@@ -110,7 +110,7 @@ def test_noise_selects_nothing():
     rng = np.random.default_rng(0)
     system, offers, halves = line_of()
     quiet = replace(system, residual=rng.normal(size=300))
-    assert select_on_held_out(quiet, offers, halves).steps == ()
+    assert select_on_held_out(quiet, offers, halves).active == ()
 
 
 @pytest.mark.parametrize(("size", "named"), [(0.1, True), (-0.1, False), (-4.0, True)])
@@ -119,7 +119,7 @@ def test_a_spring_that_rises_against_its_load_must_explain_more(size, named):
     system, (spring, _), halves = line_of()
     y = np.sign(size) * (abs(size) * spring.columns[:, 0, 0] / 10 + 0.7 * rng.normal(size=300))
     found = select_on_held_out(replace(system, residual=y), [spring], halves)
-    assert [np.sign(s.a[0]) for s in found.steps] == ([np.sign(size)] if named else [])
+    assert [np.sign(one.a[0]) for one in found.active] == ([np.sign(size)] if named else [])
 
 
 def test_springs_that_mask_each_other_are_accepted_together():
@@ -129,9 +129,9 @@ def test_springs_that_mask_each_other_are_accepted_together():
     one, other = 40 * (x + 0.4 * np.sin(14 * x)), 40 * (-x + 0.4 * np.sin(14 * x))
     offers = [replace(spring, joint=j, columns=c[:, None, None]) for j, c in ((2, one), (3, other))]
     found = select_on_held_out(replace(system, residual=0.2 * (one + other) + rng.normal(size=300)), offers, halves)
-    assert {s.name.joint for s in found.steps} == {2, 3}
-    assert [s.a[0] for s in found.steps] == pytest.approx([0.2, 0.2], rel=0.1)
-    assert found.steps[0].score == found.steps[1].score  # in one round
+    assert {one.joint for one in found.active} == {2, 3}
+    assert [one.a[0] for one in found.active] == pytest.approx([0.2, 0.2], rel=0.1)
+    assert found.scores[0] == found.scores[1]  # in one round
 
 
 def few(path, tmp_path, rows):
@@ -146,8 +146,8 @@ def test_joint_2_of_the_ur5_bends_and_slow_gear_terms_are_impostors(real, tmp_pa
     channel = few(real / UR5, tmp_path, 600)
     slow = {n: LIBRARY[n] for n in SLOW}
     found = select_on_held_out(channel.system, candidates((channel,), slow, Options()), channel.folds())
-    assert found.steps[0].name == Name("joint_compliance", 2)
-    first = found.steps[0]
+    first = found.active[0]
+    assert first.key == ("joint_compliance", 2)
     c = LIBRARY["joint_compliance"].values(first.a, first.scanned)["rad_per_Nm"]
     assert 2e-5 < c < 5e-5
     assert Name("gear_1x", 2) in {r.name for r in found.refused}
@@ -157,8 +157,8 @@ def test_gravity_bends_joints_2_and_3_of_the_ur10(real, tmp_path):
     channel = few(real / UR10, tmp_path, 1000)
     slow = {n: LIBRARY[n] for n in SLOW}
     found = select_on_held_out(channel.system, candidates((channel,), slow, Options()), channel.folds(), most=2)
-    assert {s.name for s in found.steps} == {Name("joint_compliance", 2), Name("joint_compliance", 3)}
-    for step in found.steps:
+    assert {one.key for one in found.active} == {("joint_compliance", 2), ("joint_compliance", 3)}
+    for step in found.active:
         assert 0.8e-5 < LIBRARY["joint_compliance"].values(step.a, step.scanned)["rad_per_Nm"] < 1.3e-5
 
 

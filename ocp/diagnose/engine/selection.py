@@ -30,17 +30,6 @@ from robots.pose import Array, Mask
 
 
 @dataclass(frozen=True)
-class Step:
-    """An accepted effect with its scanned values, its coefficients (m,) with all others on all readings, and the mean log mean
-    square of the folds with it and all before it, over that of the believed cell."""
-
-    name: Name
-    scanned: Scanned
-    a: Array
-    score: float
-
-
-@dataclass(frozen=True)
 class Refused:
     """An effect that gains `gain` (whitened sum of squares) on all readings and that `fold` refuses: its mean square is `ratio`
     times that of the believed cell alone; beside: effects accepted by then."""
@@ -54,9 +43,12 @@ class Refused:
 
 @dataclass(frozen=True)
 class SelectedEffects:
-    """Accepted effects in order; refused ones that gained more than the ones accepted in their round and never were."""
+    """Accepted effects in order, with their coefficients with all others on all readings, to begin a fit from; scores: mean log
+    mean square of the folds with each and all before it, over that of the believed cell; refused ones that gained more than the
+    ones accepted in their round and never were."""
 
-    steps: tuple[Step, ...]
+    active: tuple[Active, ...]
+    scores: tuple[float, ...]
     refused: tuple[Refused, ...]
 
 
@@ -65,6 +57,7 @@ class Entry:
     """A candidate at its best variant: columns (N, m) in units of the usual upper ends `scale` (m,), gain on all readings;
     turned: its value has a sign that no machine has."""
 
+    effect: Effect
     name: Name
     scanned: Scanned
     columns: Array
@@ -104,9 +97,8 @@ def select_on_held_out(system: System, candidates: Sequence[Candidate], folds: S
             break
         chosen += choices[best]
         scores += [errors[best]] * len(choices[best])
-    values = _values(whole, system, chosen)
-    steps = [Step(e.name, e.scanned, a, s) for e, a, s in zip(chosen, values, scores, strict=True)]
-    return SelectedEffects(tuple(steps), tuple(r for n, r in refused.items() if n not in {e.name for e in chosen}))
+    never = tuple(r for n, r in refused.items() if n not in {e.name for e in chosen})
+    return SelectedEffects(_with_values(whole, system, chosen), tuple(scores), never)
 
 
 class _Fitted:
@@ -190,7 +182,7 @@ def _shortlist(
         v = int(np.argmax(gain))
         turned = bool((a[v] < 0)[positive_of(c.effect)].any())
         if gain[v] > 0:
-            found.append(Entry(name, c.scans[v], c.columns[:, v] * _scale(c), _scale(c), float(gain[v]), turned))
+            found.append(Entry(c.effect, name, c.scans[v], c.columns[:, v] * _scale(c), _scale(c), float(gain[v]), turned))
     return sorted(found, key=lambda e: -e.gain)[: rules.SHORTLIST]
 
 
@@ -199,14 +191,13 @@ def _fitted(whole: _Fitted, system: System, entries: Sequence[Entry]) -> Array:
     return whole.without(np.hstack([system.residual[:, None], *(e.columns for e in entries)]))[0]
 
 
-def _values(whole: _Fitted, system: System, chosen: Sequence[Entry]) -> list[Array]:
-    """Coefficients of each entry, all fitted together to all readings."""
-    if not chosen:
-        return []
+def _with_values(whole: _Fitted, system: System, chosen: Sequence[Entry]) -> tuple[Active, ...]:
+    """The entries with their coefficients, all fitted together to all readings."""
     fitted = _fitted(whole, system, chosen)
     a = _solved(fitted[:, 1:].T @ fitted[:, 1:], fitted[:, 1:].T @ fitted[:, 0])
-    ends = np.cumsum([len(e.scale) for e in chosen])
-    return [block * e.scale for block, e in zip(np.split(a, ends[:-1]), chosen, strict=True)]
+    blocks = np.split(a, np.cumsum([len(e.scale) for e in chosen], dtype=int))
+    values = [block * e.scale for block, e in zip(blocks, chosen, strict=False)]
+    return tuple(Active(e.effect, e.name.joint, v, e.scanned, np.eye(len(v))) for e, v in zip(chosen, values, strict=True))
 
 
 def _scale(c: Candidate) -> Array:
@@ -233,15 +224,14 @@ def select_effects(
     """
     offered = candidates([channel], library, options)
     first = select_on_held_out(channel.system, offered, channel.folds(), most=rules.SELECTED_FIRST)
-    about = channel.with_active(_active(first, library))
+    about = channel.with_active(first.active)
     system = replace(about.system, residual=about.system.residual + put_back([about], about.active))
     found = select_on_held_out(system, candidates([about], library, options), channel.folds())
     refused = tuple((r.name, r.fold) for r in found.refused)
     barred = replace(options, barred=(*options.barred, *(n for n, _ in refused)))
-    active = _active(found, library)
-    problem = linearised([channel.with_active(active)], library, barred)
-    search = Search(problem.pool, max(options.most, len(active)) + 1, options.beam)
-    names = frozenset(problem.index[s.name] for s in found.steps)
+    problem = linearised([channel.with_active(found.active)], library, barred)
+    search = Search(problem.pool, max(options.most, len(found.active)) + 1, options.beam)
+    names = frozenset(problem.index[Name(*a.key)] for a in found.active)
     search.add(names)
     for family in names:  # what each is worth beside the others
         search.add(names - {family})
@@ -253,8 +243,3 @@ def select_effects(
             for family in names:
                 search.add((names - {family}) | {int(k)}, there.members)
     return problem, search, refused
-
-
-def _active(found: SelectedEffects, library: Mapping[str, Effect]) -> tuple[Active, ...]:
-    """What was select_on_held_out, to begin a fit from."""
-    return tuple(Active(library[s.name.effect], s.name.joint, s.a, s.scanned, np.eye(len(s.a))) for s in found.steps)
