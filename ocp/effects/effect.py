@@ -15,6 +15,7 @@ import numpy as np
 
 from ocp.effects.context import ArmContext, ContactContext, LogRows, TrackerContext
 from robots.pose import Array
+from robots.robot import Robot
 
 Scanned = Mapping[str, Any]  # values of the scanned parameters of one variant
 ArmHook = Callable[[ArmContext, int, Scanned], ca.SX]
@@ -65,6 +66,13 @@ class Surroundings:
     friction: float = 0.35
     splice_trains: tuple[Scanned, ...] = ()
     among: Mapping[str, int] = field(default_factory=dict)
+
+    @staticmethod
+    def of(robot: Robot, q: Array, time: Array | None, **more: Any) -> "Surroundings":
+        """Of readings of an arm at joints q (n, 6) rad and times s, and what else they offer."""
+        span, instants = np.stack([q.min(axis=0), q.max(axis=0)], axis=1), np.empty(0) if time is None else np.sort(time)
+        own: dict[str, Any] = {"robot": robot.name, "torque_max": robot.torque_max, "stiffness": robot.stiffness}
+        return Surroundings(robot.gear_ratio, span, instants, **own, **more)
 
 
 def scan_key(scanned: Scanned, digits: int = 9) -> tuple[Any, ...]:

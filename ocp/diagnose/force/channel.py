@@ -309,16 +309,13 @@ def surroundings(problem: ForceProblem) -> Surroundings:
     lengths = [np.ptp(c.s[(c.line == k) & log.contact]) for k in np.unique(c.line[log.contact])]
     names = tuple(cell.tables.payloads)
     own = cell.tables.workpiece.payload if cell.tables.workpiece is not None else None
-    return Surroundings(
-        gear_ratio=cell.robot.gear_ratio,
-        q_range=np.stack([log.q.min(axis=0), log.q.max(axis=0)], axis=1),
-        time=np.sort(c.clock) if clocked else np.empty(0),
+    return Surroundings.of(
+        cell.robot,
+        log.q,
+        c.clock if clocked else None,
         payloads=(own,) if own in names else (),
         breaks=np.sort(breaks),
         length=float(max(lengths, default=0.0)),
-        robot=cell.robot.name,
-        torque_max=cell.robot.torque_max,
-        stiffness=cell.robot.stiffness,
         lines=tuple(float(k) for k in np.unique(c.line[log.contact])),
         sides=_sides(log.n[log.contact]),
         friction=cell.wheel.friction,

@@ -319,11 +319,8 @@ class JointChannel:
     @property
     def surroundings(self) -> Surroundings:
         """Ranges of the joints, times, the arm's own size."""
-        log, robot = self.problem.signals.log, self.problem.robot
-        span = np.stack([log.q.min(axis=0), log.q.max(axis=0)], axis=1)
-        return Surroundings(
-            robot.gear_ratio, span, np.sort(log.time), robot=robot.name, torque_max=robot.torque_max, stiffness=robot.stiffness
-        )
+        log = self.problem.signals.log
+        return Surroundings.of(self.problem.robot, log.q, log.time)
 
     @cached_property
     def system(self) -> System:

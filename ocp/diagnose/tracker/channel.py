@@ -121,17 +121,8 @@ class TrackerChannel:
     def surroundings(self) -> Surroundings:
         """For the scans."""
         r, c = self.readings, self.task.campaign
-        seen = np.unique(r.target)
-        return Surroundings(
-            gear_ratio=c.robot.gear_ratio,
-            q_range=np.stack([r.q.min(axis=0), r.q.max(axis=0)], axis=1),
-            time=np.zeros(0) if r.time is None else np.sort(r.time),
-            targets=tuple(r.targets[k] for k in seen),
-            payloads=tuple(r.payloads[k] for k in np.unique(r.payload)),
-            robot=c.robot.name,
-            torque_max=c.robot.torque_max,
-            stiffness=c.robot.stiffness,
-        )
+        payloads, targets = (r.payloads[k] for k in np.unique(r.payload)), (r.targets[k] for k in np.unique(r.target))
+        return Surroundings.of(c.robot, r.q, r.time, targets=tuple(targets), payloads=tuple(payloads))
 
     @property
     def conditions(self) -> ReadingConditions:

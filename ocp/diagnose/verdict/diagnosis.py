@@ -1,6 +1,5 @@
 """The main entry of the diagnosis: search, and from weighed sets to the findings."""
 
-from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
@@ -243,11 +242,10 @@ def place(
         k = int(np.argmax([d @ d for d in signatures]))
         return of_effect(problem, active[k].effect, active[k].joint, signatures[k])
     if found.where and found.p_unknown > rules.LEADS:
-        joints = defaultdict[int, float](float)
-        for name, p in found.where.items():
-            joints[name.joint] += p
-        joint = max(joints, key=lambda j: joints[j])
-        return of_kernel(max((n for n in found.where if n.joint == joint), key=lambda n: found.where[n]))
+        joint = max(found.where, key=lambda one: sum(p for n, p in found.where.items() if n.joint == one.joint)).joint
+        likeliest = max((n for n in found.where if n.joint == joint), key=lambda n: found.where[n])
+        signal, where, source = likeliest.effect[1:].split("/")
+        return of_kernel(signal, where, source, joint)
     return of_tests(tests)
 
 

@@ -14,7 +14,7 @@ over time and lose what they owe to the angle (circular shifts, Good 2005, chapt
 import numpy as np
 from scipy.special import fdtrc
 
-from ocp.diagnose.engine.findings import BudgetLine, KernelTest, Location, Name, SpectrumPeak
+from ocp.diagnose.engine.findings import BudgetLine, KernelTest, Location, SpectrumPeak
 from ocp.diagnose.engine.kernels import is_periodic
 from ocp.diagnose.engine.linearisation import Linearisation
 from ocp.diagnose.engine.pool import Given
@@ -52,16 +52,15 @@ def of_effect(problem: Linearisation, effect: Effect, joint: int, signature: Arr
     return Location(signal, effect.subsystem, joint, depends_on(chosen))
 
 
-def of_kernel(name: Name) -> Location:
+def of_kernel(signal: str, where: str, source: str, joint: int) -> Location:
     """Of a kernel that stands for an effect nobody catalogued."""
-    signal, where, source = name.effect[1:].split("/")
     if source in ("joint", "axis"):
         subsystem = "joint"
     elif source in ("frame", "beam"):
         subsystem = SUBSYSTEM.get(where, "tracker")
     else:
         subsystem = READING.get(where, "sensor")
-    return Location(signal, subsystem, name.joint, depends_on(where))
+    return Location(signal, subsystem, joint, depends_on(where))
 
 
 def of_group(signal: str, one: GroupScatter) -> Location:
@@ -74,8 +73,7 @@ def of_tests(tests: list[KernelTest]) -> Location | None:
     """Of the most telling kernel, the number of kernels allowed for; None where none is sure."""
     if not tests or tests[0].p_value * len(tests) > PLACE_SURE:
         return None
-    t = tests[0]
-    return of_kernel(Name(f"?{t.channel}/{t.where}/{t.source}", t.joint))
+    return of_kernel(tests[0].channel, tests[0].where, tests[0].source, tests[0].joint)
 
 
 def depends_on(where: str) -> tuple[str, ...]:

@@ -167,10 +167,7 @@ HINTS = {
     "beam azimuth": "the instrument's own circle",
     "beam elevation": "the instrument's own circle",
     "force s": "form or stock of the blade along its lines",
-    "force s wave": "form or stock of the blade along its lines",
-    "force s period": "form or stock of the blade along its lines",
-    "force s wave travel": "a guide that sticks along its way",
-    "force s period travel": "a guide that sticks along its way",
+    "force s travel": "a guide that sticks along its way",
     "force line": "form or stock of the blade across its lines",
     "force travel": "what the belt drags along",
     "force feed": "what gives way or is ground off while the blade moves by",
@@ -187,7 +184,7 @@ HINTS = {
 def hint_of(patch: Active) -> str:
     """What such a dependence may come from, in words."""
     source, where, *_ = patch.effect.name.removeprefix(PATCH).split("|")
-    conditions = [part.rstrip("123456") for part in where.split(" x ")]
+    conditions = [part.rstrip("123456").removesuffix(" wave").removesuffix(" period") for part in where.split(" x ")]
     for kept in (conditions, conditions[:1], []):
         if hint := HINTS.get(" ".join([source.split()[0], *kept])):
             return hint
