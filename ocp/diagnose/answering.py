@@ -63,7 +63,8 @@ def channels_of(data: DataSet, phases: Phases) -> list[Channel]:
             found.append(force_channel(data.cell, data.log, tracker))
     if data.joints is not None:
         with phases.phase("joints"):
-            found.append(joint_channel(data.joints, data.setup.robot, data.payload, _stated(data), data.believed_by("joint")))
+            stated = data.setup.tables.robot.stiffness_Nm_per_rad is not None  # believed more than a catalogue's
+            found.append(joint_channel(data.joints, data.setup.robot, data.payload, stated, data.believed_by("joint")))
     return found
 
 
@@ -83,11 +84,6 @@ def tracker_channel(data: DataSet) -> TrackerChannel:
             "postures, with all axes moved, and give the nests' places in [tracker.targets]"
         ) from None
     return TrackerChannel(task, fit)
-
-
-def _stated(data: DataSet) -> bool:
-    """Whether the cell states its springs itself: those are believed more than a catalogue's."""
-    return data.setup.tables.robot.stiffness_Nm_per_rad is not None
 
 
 def beside_others(written: Sealed, parts: Sequence[tuple[float, Sealed]]) -> Sealed:

@@ -14,8 +14,7 @@ from ocp.diagnose.tracker.held_out import placed_stands, tracker_folds
 from ocp.diagnose.tracker.refit import believed_baseline, linearise_with, placed_readings, points_with, reliability, settled
 from ocp.diagnose.tracker.weights import link_torques, weighed_links
 from ocp.diagnose.verdict import diagnosis
-from ocp.diagnose.verdict.diagnosis import _scattering, diagnose_channels
-from ocp.diagnose.verdict.doubts import cancelling, implausible
+from ocp.diagnose.verdict.diagnosis import _scattering, cancelling, diagnose_channels, implausible
 from ocp.diagnose.verdict.remaining import Remaining, remaining
 from ocp.effects.catalogue import library
 from ocp.effects.effect import Active

@@ -31,6 +31,7 @@ and the effect is named where log Z and its prior odds outweigh none and what th
 
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import pairwise
 
 import numpy as np
 from scipy.special import chndtrix, gammaln, stdtr
@@ -130,20 +131,15 @@ class Stack:
 def stack(channels: tuple[Channel, ...], put_back: Array) -> Stack:
     """Stack of the channels' systems; put_back (N,): what the active effects add to the predictions, to be explained
     again."""
-    projections, blocks, parts, tails, start, picked = [], [], [], list[Tails](), 0, 0.0
-    for channel in channels:
-        system = channel.system
-        block = slice(start, start + len(system.residual))
-        start = block.stop
-        picked += system.picked
-        if system.tailed:
-            tails.append(Tails(block, np.flatnonzero(np.diff(system.reading, prepend=-1)).astype(np.int64)))
-        projection = project(system.nuisance, system.prior_sd)
-        projections.append(projection)
-        blocks.append(block)
-        parts.append(projection.apply(about_prior(system) + put_back[block]))
-    y = np.concatenate(parts)
-    return Stack(tuple(projections), tuple(blocks), y, len(y) - sum(p.free for p in projections) + round(picked), tuple(tails))
+    systems = [c.system for c in channels]
+    blocks = tuple(slice(a, b) for a, b in pairwise(np.cumsum([0, *(len(s.residual) for s in systems)]).tolist()))
+    projections = tuple(project(s.nuisance, s.prior_sd) for s in systems)
+    each = zip(projections, systems, blocks, strict=True)
+    y = np.concatenate([p.apply(about_prior(s) + put_back[b]) for p, s, b in each])
+    tailed = [(b, s.reading) for b, s in zip(blocks, systems, strict=True) if s.tailed]
+    tails = tuple(Tails(b, np.flatnonzero(np.diff(reading, prepend=-1)).astype(np.int64)) for b, reading in tailed)
+    freedom = len(y) - sum(p.free for p in projections) + round(sum(s.picked for s in systems))
+    return Stack(projections, blocks, y, freedom, tails)
 
 
 SIZES = 4  # of the grid of prior widths

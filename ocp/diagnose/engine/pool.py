@@ -194,12 +194,9 @@ class CandidatePool:
             return
         parts = [self.columns(m) for m in new]
         C = np.ascontiguousarray(np.hstack(parts).T)
-        every = [C @ _flat(g.X) for g in self.groups]
-        start = 0
-        for m, part in zip(new, parts, strict=True):
-            rows = slice(start, start + part.shape[1])
-            start = rows.stop
-            self.crossed[m.family, m.variant] = tuple(products[rows] for products in every)
+        ends = np.cumsum([part.shape[1] for part in parts])[:-1]
+        for m, *products in zip(new, *(np.split(C @ _flat(g.X), ends) for g in self.groups), strict=True):
+            self.crossed[m.family, m.variant] = tuple(products)
 
 
 @dataclass(frozen=True)

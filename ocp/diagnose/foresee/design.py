@@ -28,7 +28,6 @@ from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.effects.catalogue import library
 from ocp.effects.effect import Effect, Parameter, Scanned
 from ocp.model.cell import TrackerSetup, read_cell, read_tracker_setup
-from robots.calibration.store import Calibration
 from robots.csv_table import read_csv_table
 from robots.errors import BadInput
 from robots.pose import Array, Index
@@ -82,7 +81,10 @@ def design_text(cell: Path, poses: Path | None, log: Path | None = None) -> str:
         arm = None if poses is None else arm_expected(channel)
     if rows is not None:
         what = f"the {len(rows)} rows of {rows.path.name} ({len(rows.runs)} recording{'s' if len(rows.runs) > 1 else ''})"
-        seen = visible_in(_force_plan(cell, rows, known, arm), known)
+        from ocp.diagnose.foresee.planned_grinding import planned_force_channel  # the contact: only for those who plan a log
+
+        planned = planned_force_channel(read_cell(cell), rows, [_with_few(e) for e in known], arm)
+        seen = visible_in(planned, known)
         columns.append(Column(f"{what} see it from", seen, what, "needs the tracker (--poses)"))
         notes += _assumed(rows)
     return design_table(known, columns, notes)
@@ -98,15 +100,8 @@ def _tracker_plan(setup: TrackerSetup, poses: Path | None) -> tuple[TrackerChann
     return planned_channel(setup, planned), f"the {len(planned)} readings of {poses.name}"
 
 
-def _force_plan(cell: Path, log: ForceLog, known: Sequence[Effect], arm: Calibration | None) -> Channel:
-    """The believed contact of the plan. Of families of many variants only those that are looked at have their patterns kept."""
-    from ocp.diagnose.foresee.planned_grinding import planned_force_channel  # the contact: only for those who plan a log
-
-    return planned_force_channel(read_cell(cell), log, [_with_few(e) for e in known], arm)
-
-
 def _with_few(effect: Effect) -> Effect:
-    """The effect with the variants that are looked at alone."""
+    """The effect with the variants that are looked at alone: of families of many only these have their patterns kept."""
     return replace(effect, scan=lambda joint, seen: few_of(tuple(effect.scan(joint, seen)), MOST_SCANS))
 
 

@@ -18,7 +18,7 @@ from ocp.diagnose.foresee.planned_tracker import channel_about
 from ocp.diagnose.rules import CARRIED_PATCH, LEADS
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.diagnose.verdict.answer import Patched, Unnamed
-from ocp.diagnose.verdict.doubts import errors_of_folds
+from ocp.diagnose.verdict.diagnosis import errors_of_folds
 from ocp.diagnose.verdict.patching import is_patch, read_beside, unfaded, with_further
 from ocp.diagnose.verdict.shrinkage import Shrinkage
 from ocp.effects.effect import Active

@@ -1,4 +1,5 @@
-"""The main entry of the diagnosis: search, and from weighed sets to the findings."""
+"""The main entry of the diagnosis: search, from weighed sets to the findings, and what speaks against a named effect: values no
+machine shows, and terms that cancel each other."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -8,14 +9,13 @@ from scipy.special import fdtrc
 
 from ocp.diagnose import rules
 from ocp.diagnose.engine.beam import NOTHING, Search, Weighed
-from ocp.diagnose.engine.channel_system import Channel, Resting, Scattering, WeighedReadings
+from ocp.diagnose.engine.channel_system import Channel, HeldOut, Resting, Scattering, WeighedReadings, effects_key
 from ocp.diagnose.engine.findings import Diagnosis, Explanation, KernelTest, Location, Name, Options, Ranked, Screened
-from ocp.diagnose.engine.linearisation import Linearisation, linearised, names_of, smallest_seen, stacked_columns
+from ocp.diagnose.engine.linearisation import Linearisation, linearised, names_of, positive_of, smallest_seen, stacked_columns
 from ocp.diagnose.engine.pool import Family, given
 from ocp.diagnose.engine.search import Diverged, search_and_refit
 from ocp.diagnose.engine.selection import misses_far_more_than_noise, select_effects
 from ocp.diagnose.tracker.channel import TrackerChannel
-from ocp.diagnose.verdict.doubts import cancelling, errors_of_folds, implausible, refitted
 from ocp.diagnose.verdict.location import budget, kernel_tests, of_effect, of_group, of_kernel, of_tests, spectra
 from ocp.diagnose.verdict.patching import patches_of
 from ocp.diagnose.verdict.probabilities import (
@@ -29,6 +29,7 @@ from ocp.diagnose.verdict.probabilities import (
     without_kernels,
 )
 from ocp.effects.effect import Active, Effect
+from robots.errors import Infeasible
 from robots.pose import Array
 
 USUAL = Options()
@@ -289,3 +290,52 @@ def blind(channels: Sequence[Channel], library: Mapping[str, Effect], options: O
         if all(reasons):
             found.append(max(reasons, key=lambda r: "column" in r))
     return tuple(found)
+
+
+def implausible(active: Sequence[Active]) -> list[tuple[Name, str]]:
+    """Names with values over three times the range, two standard errors sure, with what is wrong."""
+    found = []
+    for one in active:
+        upper = np.asarray(one.effect.prior_sd, float)
+        sd = np.sqrt(np.maximum(np.diag(one.covariance), 0.0))
+        if (np.abs(one.a) - rules.IMPLAUSIBLE_SD * sd > rules.IMPLAUSIBLE * upper).any():
+            found.append((Name(*one.key), "its value is over three times what real cells show"))
+        for a, s, positive, key in zip(one.a, sd, positive_of(one.effect), one.effect.coefficients, strict=True):
+            if positive and a < -rules.WRONG_SIGN_SD * s:
+                name = one.effect.parameters[0].key if key == "share" else key
+                found.append((Name(*one.key), f"{name} comes out with the wrong sign"))
+        why = one.effect.doubt(one.a, sd, one.scanned) if one.effect.doubt else ""
+        if why:
+            found.append((Name(*one.key), why))
+    return found
+
+
+def cancelling(names: Sequence[Name], signatures: Sequence[Array]) -> list[tuple[Name, str]]:
+    """Pairs of effects whose signatures (N,) all but cancel: each stands for what the other overdoes."""
+    found = []
+    for i in range(len(names)):
+        for k in range(i):
+            a, b = signatures[i], signatures[k]
+            if np.linalg.norm(a + b) < rules.CANCELS * min(np.linalg.norm(a), np.linalg.norm(b)):
+                found.append((names[i], f"it all but cancels {names[k]}"))
+    return found
+
+
+def refitted(baseline: Sequence[Channel], problem: Linearisation, active: tuple[Active, ...]) -> tuple[Channel, ...] | None:
+    """Channels of all readings with the effects active; those of the search where they are that already; None where no fit with
+    them comes to rest."""
+    found = []
+    for whole, searched in zip(baseline, problem.channels, strict=True):
+        visible = tuple(a for a in active if not whole.blind(a.effect))
+        same = effects_key(searched.active, 2) == effects_key(visible, 2) and len(searched.gap()) == len(whole.gap())
+        try:
+            found.append(searched if same else whole.with_active(active))
+        except Infeasible:
+            return None
+    return tuple(found)
+
+
+def errors_of_folds(channels: Sequence[Channel], active: tuple[Active, ...]) -> dict[str, tuple[HeldOut, ...]]:
+    """Every fold of every channel that can be judged."""
+    judged = {c.name: [c.held_out(fold, active) for fold in c.folds()] for c in channels}
+    return {name: tuple(h for h in found if h is not None) for name, found in judged.items()}
