@@ -19,7 +19,7 @@ from threadpoolctl import threadpool_limits
 from ocp.diagnose.corrected import write_corrected_cell
 from ocp.diagnose.dataset import SEALED, DataSet, blinds, read_data_set, read_sealed, told_beyond
 from ocp.diagnose.document import document_of, json_text
-from ocp.diagnose.engine.channel_system import Channel, ReadingConditions, Sealed, effects_key, needs_motion
+from ocp.diagnose.engine.channel_system import Channel, ReadingConditions, Sealed, needs_motion
 from ocp.diagnose.engine.findings import Alternative, Diagnosis
 from ocp.diagnose.foresee.anticipated import signal_gap
 from ocp.diagnose.foresee.next_experiment import next_experiments
@@ -34,7 +34,7 @@ from ocp.diagnose.verdict.diagnosis import diagnose_channels
 from ocp.diagnose.verdict.patching import seen_by
 from ocp.diagnose.verdict.probabilities import gathered
 from ocp.effects.catalogue import library
-from ocp.effects.effect import Active, Effect
+from ocp.effects.effect import Active, Effect, effects_key
 from ocp.effects.patch import PATCH
 from ocp.model.cell import files_of
 from ocp.shell.cache import sha256

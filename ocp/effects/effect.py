@@ -216,6 +216,12 @@ class Active:
         return out
 
 
+def effects_key(active: Sequence[Active], digits: int = 9) -> tuple[Any, ...]:
+    """Effects, joints and scanned values, what a refit does not change, whatever their order; digits: of scanned numbers, two
+    where finer ones are no other effect."""
+    return tuple(sorted((*a.key, repr(scan_key(a.scanned, digits))) for a in active))
+
+
 def prior_sds(active: Sequence[Active]) -> Array:
     """Prior standard deviations (m,) of the coefficients of several effects, one after the other."""
     return np.concatenate([np.zeros(0), *(np.asarray(one.effect.prior_sd, float) for one in active)])

@@ -18,7 +18,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 
 from ocp.diagnose.rules import OUTLIER_WEIGHT
-from ocp.effects.effect import Active, Effect, Scanned, Surroundings, scan_key
+from ocp.effects.effect import Active, Effect, Scanned, Surroundings
 from robots.pose import Array, Index, Mask
 
 SCALE = {"mm": 1e3, "N": 1.0, "arcsec": float(np.degrees(1.0) * 3600.0)}
@@ -117,12 +117,6 @@ def needs_motion(reason: str) -> bool:
 def is_outlier(weight: Array) -> Mask:
     """Readings (n,) that are set aside as gross, by their weight (n,) in a fit of the diagnosis."""
     return np.asarray(weight <= OUTLIER_WEIGHT)
-
-
-def effects_key(active: Sequence[Active], digits: int = 9) -> tuple[Any, ...]:
-    """Effects, joints and scanned values, what a refit does not change, whatever their order; digits: of scanned numbers, two
-    where finer ones are no other effect."""
-    return tuple(sorted((*a.key, repr(scan_key(a.scanned, digits))) for a in active))
 
 
 @dataclass(frozen=True)

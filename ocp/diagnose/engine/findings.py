@@ -3,6 +3,7 @@
 `ocp.diagnose.verdict.diagnosis.diagnose_channels(channels, library, options) -> Diagnosis` makes it.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from ocp.diagnose.engine.channel_system import Channel, HeldOut
@@ -57,6 +58,12 @@ class Alternative:
 
     probability: float
     active: tuple[Active, ...]
+
+
+def summing_to(whole: float, listed: Sequence[Alternative]) -> tuple[Alternative, ...]:
+    """The same with probabilities in the same proportion that sum to `whole`."""
+    total = sum(one.probability for one in listed) or 1.0
+    return tuple(Alternative(whole * one.probability / total, one.active) for one in listed)
 
 
 @dataclass(frozen=True)

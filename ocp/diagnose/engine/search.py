@@ -25,14 +25,14 @@ import numpy as np
 
 from ocp.diagnose import rules
 from ocp.diagnose.engine.beam import NOTHING, Key, Search, Weighed, weigh
-from ocp.diagnose.engine.channel_system import Channel, WeighedReadings, effects_key, is_outlier
+from ocp.diagnose.engine.channel_system import Channel, WeighedReadings, is_outlier
 from ocp.diagnose.engine.evidence import log_evidence
 from ocp.diagnose.engine.findings import Name, Options
 from ocp.diagnose.engine.linearisation import Linearisation, linearised, stacked_columns
 from ocp.diagnose.engine.pool import Given, Member, given, squares
 from ocp.diagnose.engine.selection import misses_far_more_than_noise
 from ocp.diagnose.rules import OUTLIERS_OF_ONE_CAUSE, RECHECKED, SHARPER_GAIN
-from ocp.effects.effect import Active, Effect, Scanned
+from ocp.effects.effect import Active, Effect, Scanned, effects_key
 from robots.errors import Infeasible
 from robots.pose import Array, Mask
 

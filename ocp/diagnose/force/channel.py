@@ -11,17 +11,7 @@ from ocp.calibrate.force.fit import pressed_rows
 from ocp.calibrate.force.log import ForceLog
 from ocp.calibrate.force.noise import Whitener
 from ocp.calibrate.force.rows import ForceSetup, LogConditions, log_conditions, prepare_force
-from ocp.diagnose.engine.channel_system import (
-    UNSEEN,
-    Fold,
-    HeldOut,
-    ReadingConditions,
-    Sealed,
-    System,
-    Variants,
-    Wave,
-    effects_key,
-)
+from ocp.diagnose.engine.channel_system import UNSEEN, Fold, HeldOut, ReadingConditions, Sealed, System, Variants, Wave
 from ocp.diagnose.force.fit import EffectFit, ForceProblem, fit_effects
 from ocp.diagnose.force.held_out import Asked, force_fold_errors, force_folds, predict_sealed_force
 from ocp.diagnose.force.log_averages import LogAverages, Store, log_averages
@@ -34,7 +24,7 @@ from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.effects.belt_splice import EFFECT as SPLICE
 from ocp.effects.catalogue import library
 from ocp.effects.cell_effects import effect_of
-from ocp.effects.effect import Active, Effect, Scanned, Surroundings
+from ocp.effects.effect import Active, Effect, Scanned, Surroundings, effects_key
 from ocp.effects.flange_friction import EFFECT as FRICTION
 from ocp.effects.motor_harmonic import ratios_of
 from ocp.model.cell import Cell, with_calibration
@@ -99,7 +89,11 @@ class ForceChannel:
     @cached_property
     def conditions(self) -> ReadingConditions:
         """What is known of the rows."""
-        return known_conditions(self.problem, self.fit, self.waves)
+        log, fit = self.log, self.fit
+        reads = np.stack(list(fit.at.slope[: len(fit.whiteners)]), axis=1)
+        known = replace(logged_conditions(self.problem, log, self.problem.scene.conditions), waves=self.waves)
+        ratios, joints = ratios_of(self.surroundings), reads[:, :, None] * fit.slopes[1][:, None]
+        return replace(known, d_joints=joints, pressed=reads * log.contact[:, None], gear_ratio=ratios)
 
     @cached_property
     def waves(self) -> tuple[Wave, ...]:
@@ -320,15 +314,6 @@ def surroundings(problem: ForceProblem) -> Surroundings:
         sides=_sides(log.n[log.contact]),
         friction=cell.wheel.friction,
     )
-
-
-def known_conditions(problem: ForceProblem, fit: EffectFit, waves: tuple[Wave, ...] = ()) -> ReadingConditions:
-    """Of the log's rows, for what is tested without the library."""
-    log = problem.log
-    reads = np.stack(list(fit.at.slope[: len(fit.whiteners)]), axis=1)
-    known = replace(logged_conditions(problem, log, problem.scene.conditions), waves=waves)
-    ratios, joints = ratios_of(surroundings(problem)), reads[:, :, None] * fit.slopes[1][:, None]
-    return replace(known, d_joints=joints, pressed=reads * log.contact[:, None], gear_ratio=ratios)
 
 
 def logged_conditions(problem: ForceProblem, log: ForceLog, c: LogConditions) -> ReadingConditions:

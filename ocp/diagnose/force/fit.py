@@ -12,7 +12,6 @@ import numpy as np
 from ocp.calibrate.force.fit import RunOffsets
 from ocp.calibrate.force.log import ForceLog
 from ocp.calibrate.force.noise import Whitener, channel_of
-from ocp.diagnose.engine.channel_system import effects_key
 from ocp.diagnose.force.prediction import (
     LogScene,
     Predicted,
@@ -23,7 +22,7 @@ from ocp.diagnose.force.prediction import (
 )
 from ocp.diagnose.force.prior import NuisancePrior
 from ocp.diagnose.rules import RUN_SD
-from ocp.effects.effect import Active, coefficients, prior_sds, with_coefficients
+from ocp.effects.effect import Active, coefficients, effects_key, prior_sds, with_coefficients
 from robots.errors import Infeasible
 from robots.gauss_newton import Minimum, Rule, Valley, minimise
 from robots.pose import Array

@@ -26,15 +26,8 @@ M = Theta.size
 HOOKS = ("sensor", "shear")  # of an effect that changes one reading alone: fn, ft
 Past = tuple[Array, Array, Array]  # force N, stroke m (n,) and both readings N (2, n), or columns (.., k) of their changes
 TOLERANCE = 2e-4  # N: a step of Newton below this leaves less than 1e-7 N
-ZEROED = (
-    "parts",
-    "slopes",
-    "normal_stiffness",
-    "friction_deflection",
-    "joint_give",
-    "clamp_deflection",
-    "F",
-)  # of rows in the air
+# Of rows in the air.
+ZEROED = ("parts", "slopes", "normal_stiffness", "friction_deflection", "joint_give", "clamp_deflection", "F")
 
 
 @dataclass(frozen=True)

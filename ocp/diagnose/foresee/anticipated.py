@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from ocp.diagnose.engine.channel_system import SCALE, Channel, HeldOut, shows
-from ocp.diagnose.engine.findings import Alternative, Diagnosis
+from ocp.diagnose.engine.findings import Alternative, Diagnosis, summing_to
 from ocp.diagnose.engine.search import outliers
 from ocp.diagnose.foresee.planned_tracker import channel_about
 from ocp.diagnose.rules import LATER, LATER_WARMTHS, LEAST_WARMTH
@@ -147,9 +147,8 @@ def _what_may_be(diagnosis: Diagnosis) -> tuple[Alternative, ...]:
     if not diagnosis.patches:
         return diagnosis.alternatives
     first, *others = diagnosis.alternatives
-    total = sum(one.probability for one in diagnosis.patches)
-    shares = [first.probability * diagnosis.p_beside * one.probability / total for one in diagnosis.patches]
-    beside = [Alternative(p, unfaded((*first.active, *one.active))) for p, one in zip(shares, diagnosis.patches, strict=True)]
+    patches = summing_to(first.probability * diagnosis.p_beside, diagnosis.patches)
+    beside = [replace(one, active=unfaded((*first.active, *one.active))) for one in patches]
     return (Alternative(first.probability * (1.0 - diagnosis.p_beside), first.active), *beside, *others)
 
 

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from ocp.diagnose.engine.channel_system import Channel, Scattering, Sealed, effects_key
-from ocp.diagnose.engine.findings import Alternative, Diagnosis
+from ocp.diagnose.engine.channel_system import Channel, Scattering, Sealed
+from ocp.diagnose.engine.findings import Alternative, Diagnosis, summing_to
 from ocp.diagnose.engine.kernels import conditions_by_name
 from ocp.diagnose.foresee.anticipated import modelled
 from ocp.diagnose.foresee.planned_tracker import channel_about
@@ -21,7 +21,7 @@ from ocp.diagnose.verdict.answer import Patched, Unnamed
 from ocp.diagnose.verdict.diagnosis import errors_of_folds
 from ocp.diagnose.verdict.patching import is_patch, read_beside, unfaded, with_further
 from ocp.diagnose.verdict.shrinkage import Shrinkage
-from ocp.effects.effect import Active
+from ocp.effects.effect import Active, effects_key
 from ocp.effects.engine.readings import displaced, has_columns, motion
 from ocp.effects.patch import lengths_outside
 from robots.calibration.residuals import points
@@ -77,17 +77,15 @@ def patched(found: Unnamed, named: Shrinkage | None, sealed: Any = None) -> Patc
 def _others(diagnosis: Diagnosis, written: tuple[Active, ...], after: Channel) -> tuple[Alternative, ...]:
     """What may be true: the patches as they stand beyond the range as well, other kernels in their place, or names without any.
     The first is what is written: as patches fade, it is true nowhere; the last is nothing beside the written names."""
-    total = sum(one.probability for one in diagnosis.patches)
-    shares = [diagnosis.p_unknown * one.probability / total for one in diagnosis.patches]
+    likeliest, *others = summing_to(diagnosis.p_unknown, diagnosis.patches)
     beside = any(is_patch(a.effect) and a.scanned["source"] == "sensor" for a in after.active)
 
     def seen(patches: Sequence[Active]) -> tuple[Active, ...]:
         forces = [beside and one.scanned["source"] == "force" for one in patches]
         return tuple(read_beside(one) if force else one for one, force in zip(patches, forces, strict=True))
 
-    others = zip(shares[1:], diagnosis.patches[1:], strict=True)
-    rest = [Alternative(p, unfaded((*written, *seen(one.active)))) for p, one in others]
-    first = Alternative(shares[0], unfaded(after.active))
+    first = replace(likeliest, active=unfaded(after.active))
+    rest = [replace(one, active=unfaded((*written, *seen(one.active)))) for one in others]
     known = 1.0 - diagnosis.p_unknown
     names = [Alternative(known * one.probability, one.active) for one in diagnosis.instead if one.active]
     nothing = Alternative(known * sum(one.probability for one in diagnosis.instead if not one.active), written)

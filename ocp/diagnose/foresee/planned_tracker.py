@@ -128,9 +128,8 @@ def _pulls(like: Readings) -> PlannedReadings:
 def _flipped(channel: TrackerChannel, like: Readings) -> PlannedReadings | None:
     robot = channel.task.campaign.robot
     q = like.q.copy()
-    q[:, 3] = np.where(q[:, 3] > 0, q[:, 3] - np.pi, q[:, 3] + np.pi)
+    q[:, [3, 5]] -= np.where(q[:, [3, 5]] > 0, np.pi, -np.pi)
     q[:, 4] = -q[:, 4]
-    q[:, 5] = np.where(q[:, 5] > 0, q[:, 5] - np.pi, q[:, 5] + np.pi)
     inside = np.flatnonzero(((q >= robot.q_min) & (q <= robot.q_max)).all(axis=1))
     if len(inside) < POSTURES // 2:
         return None

@@ -60,15 +60,8 @@ def read_joint_log(path: str | Path, mapping: ColumnMapping = OURS, sealed: bool
     Raises BadInput: as `read_csv_table`; no link column; times that do not grow inside a run; a link side that has another
     unit or counts the other way; too few rows; no joint with a link side that moved.
     """
-    table = read_csv_table(
-        path,
-        ("run", "time_s", *AXES),
-        (*LINK, *TORQUE, *SPEED),
-        ("run",),
-        (*LINK, *TORQUE, *SPEED),
-        mapping,
-        f"{SEALED * sealed}joints",
-    )
+    needed, more = ("run", "time_s", *AXES), (*LINK, *TORQUE, *SPEED)
+    table = read_csv_table(path, needed, more, ("run",), more, mapping, f"{SEALED * sealed}joints")
     if not sealed and not any(c in table.numbers for c in LINK):
         raise BadInput(f"{table.path}: none of the columns link1_deg .. link6_deg is there; the link side is what is compared")
     run, runs = table.labels("run")

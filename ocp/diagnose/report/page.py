@@ -70,8 +70,7 @@ def _bars(ax: Axes, rows: list[tuple[str, float]], title: str, most: int) -> Non
     values = [p for _, p in rows]
     words = [shorten(words, most) for words, _ in rows]
     draw_bars(ax, values, [AFTER if p >= 0.5 else BEFORE for p in values], words, [f"{p:.3f}" for p in values], 0.015)
-    ax.set_xlim(0, 1)
-    dressed(ax, title, "probability", grid="x").tick_params(axis="y", length=0)
+    dressed(ax, title, "probability", grid="x")
 
 
 def shrinkage_section(answer: Answer) -> Section:

@@ -64,15 +64,16 @@ def _draw_budget(canvas: Canvas, answer: Answer) -> None:
     names = [f"{SHORT[b.channel]}: {condition_words(b.where)}" if several else condition_words(b.where) for b in lines]
     told = [f"{100 * line.share:.0f} %   p {line.p_value:.2g}" for line in lines]
     draw_bars(ax, [line.share for line in lines], colours, [shorten(name, 44) for name in names], told, 0.01)
-    ax.set_xlim(0, max(1.0, *(line.share for line in lines)) if lines else 1.0)
-    dressed(ax, "", "share of the gap beyond noise", grid="x").tick_params(axis="y", length=0)
+    dressed(ax, "", "share of the gap beyond noise", grid="x")
 
 
 def draw_bars(ax: Axes, values: list[float], colours: list[str], names: list[str], told: list[str], behind: float) -> None:
-    """Bars from the top down with their names before and words behind them."""
+    """Bars of shares from the top down with their names before and words behind them."""
     place = -np.arange(float(len(values)))
     ax.barh(place, values, height=0.62, color=colours)
     ax.set_yticks(place, names, fontsize=6.5)
+    ax.set_xlim(0, max([1.0, *values]))
+    ax.tick_params(axis="y", length=0)
     for y, value, words in zip(place, values, told, strict=True):
         ax.text(value + behind, y, words, va="center", fontsize=6.5, color=SOFT, clip_on=False)
 

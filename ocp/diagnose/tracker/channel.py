@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ocp.diagnose.engine.channel_system import UNSEEN, Fold, HeldOut, ReadingConditions, Sealed, System, Variants, effects_key
+from ocp.diagnose.engine.channel_system import UNSEEN, Fold, HeldOut, ReadingConditions, Sealed, System, Variants
 from ocp.diagnose.rules import BACKGROUND_SIZES, LEAST_CHANGES, LEAST_GROUP, PLACE_SURE, UNEVEN
 from ocp.diagnose.tracker.background import Background, background
 from ocp.diagnose.tracker.held_out import held_out_readings, predict_sealed_readings, tracker_folds
@@ -22,7 +22,7 @@ from ocp.diagnose.tracker.refit import (
     relearned,
     settled,
 )
-from ocp.effects.effect import Active, Effect, Scanned, Surroundings, scan_key
+from ocp.effects.effect import Active, Effect, Scanned, Surroundings, effects_key, scan_key
 from ocp.effects.engine.readings import COLUMNS, PlacedReadings, by_readings, displaced, motion
 from ocp.effects.motor_harmonic import ratios_of
 from robots.calibration.noise import reading_covariance, whitener

@@ -65,12 +65,8 @@ def is_restless(joints: float) -> bool:
 def reliability(squared: Array) -> Array:
     """Probability (n,) that a reading of whitened squared distance `squared` (three components) is none of the outliers: flat
     at one for good readings, so that Gaussian evidence stays exact, and zero for gross ones."""
-    log_odds = (
-        np.log((1 - rules.OUTLIER_SHARE) / rules.OUTLIER_SHARE)
-        + 3 * np.log(rules.OUTLIER_SIZE)
-        - 0.5 * squared * (1 - 1 / rules.OUTLIER_SIZE**2)
-    )
-    return np.asarray(expit(log_odds))
+    share, size = rules.OUTLIER_SHARE, rules.OUTLIER_SIZE
+    return np.asarray(expit(np.log((1 - share) / share) + 3 * np.log(size) - 0.5 * squared * (1 - 1 / size**2)))
 
 
 def usual_noise(repeats: Repeats | None) -> tuple[float, float]:

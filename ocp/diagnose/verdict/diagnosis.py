@@ -9,7 +9,7 @@ from scipy.special import fdtrc
 
 from ocp.diagnose import rules
 from ocp.diagnose.engine.beam import NOTHING, Search, Weighed
-from ocp.diagnose.engine.channel_system import Channel, HeldOut, Resting, Scattering, WeighedReadings, effects_key
+from ocp.diagnose.engine.channel_system import Channel, HeldOut, Resting, Scattering, WeighedReadings
 from ocp.diagnose.engine.findings import Diagnosis, Explanation, KernelTest, Location, Name, Options, Ranked, Screened
 from ocp.diagnose.engine.linearisation import Linearisation, linearised, names_of, positive_of, smallest_seen, stacked_columns
 from ocp.diagnose.engine.pool import Family, given
@@ -28,7 +28,7 @@ from ocp.diagnose.verdict.probabilities import (
     twins,
     without_kernels,
 )
-from ocp.effects.effect import Active, Effect
+from ocp.effects.effect import Active, Effect, effects_key
 from robots.errors import Infeasible
 from robots.pose import Array
 

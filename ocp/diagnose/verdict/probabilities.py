@@ -24,7 +24,7 @@ import numpy as np
 
 from ocp.diagnose import rules
 from ocp.diagnose.engine.beam import NOTHING, Key, Search, Weighed
-from ocp.diagnose.engine.findings import Alternative, Name
+from ocp.diagnose.engine.findings import Alternative, Name, summing_to
 from ocp.diagnose.engine.linearisation import Linearisation
 from ocp.diagnose.engine.pool import CandidatePool, Member, given, scan_one
 from ocp.diagnose.verdict.patching import is_patch, patches_of, unfaded
@@ -186,9 +186,7 @@ def _patches_beside(
     can hold what does."""
     alone = copy(search)
     alone.sets = strange
-    patches = patches_of(problem, alone, posterior(problem, alone).where)
-    total = sum(one.probability for one in patches)
-    return tuple(replace(one, probability=unknown * one.probability / total) for one in patches)
+    return summing_to(unknown, patches_of(problem, alone, posterior(problem, alone).where))
 
 
 def without_kernels(problem: Linearisation, search: Search) -> tuple[Alternative, ...]:
@@ -196,13 +194,10 @@ def without_kernels(problem: Linearisation, search: Search) -> tuple[Alternative
     plain = copy(search)
     plain.sets = {k: s for k, s in search.sets.items() if not search.kernel[list(k)].any()}
     found = posterior(problem, plain)
-    listed = [Alternative(found.p_none, ())]
-    for names, p in sorted(found.probability.items(), key=lambda item: -item[1])[: rules.MOST_FOLLOWED]:
-        listed.append(Alternative(p, problem.values(found.best[names])))
+    likeliest = sorted(found.probability.items(), key=lambda item: -item[1])[: rules.MOST_FOLLOWED]
+    listed = [Alternative(found.p_none, ()), *(Alternative(p, problem.values(found.best[names])) for names, p in likeliest)]
     listed.sort(key=lambda a: -a.probability)
-    listed = [a for k, a in enumerate(listed) if k == 0 or a.probability >= rules.FOLLOWED]
-    total = sum(a.probability for a in listed)
-    return tuple(Alternative(a.probability / total, a.active) for a in listed)
+    return summing_to(1.0, [a for k, a in enumerate(listed) if k == 0 or a.probability >= rules.FOLLOWED])
 
 
 def _nameless(problem: Linearisation, other: Weighed, active: Sequence[Active], signatures: Sequence[Array]) -> list[Active]:
@@ -270,6 +265,4 @@ def _summed(listed: Sequence[Alternative]) -> tuple[Alternative, ...]:
     """The first, then the most probable others, probabilities summing to one; no effect at all as one alternative."""
     first, rest = listed[0], gathered([a for a in listed[1:] if a.active], rules.FOLLOWED)[: rules.MOST_FOLLOWED]
     nothing = Alternative(sum(a.probability for a in listed if not a.active), ())
-    staying = [a for a in (first, *rest, nothing) if a is first or a.probability >= rules.FOLLOWED]
-    total = sum(a.probability for a in staying) or 1.0
-    return tuple(Alternative(a.probability / total, a.active) for a in staying)
+    return summing_to(1.0, [a for a in (first, *rest, nothing) if a is first or a.probability >= rules.FOLLOWED])
