@@ -189,14 +189,13 @@ FIXED = ("order", "source_joint")  # whole numbers
 
 def refined(problem: Linearisation, weighed: Weighed, active: Sequence[Active]) -> tuple[Active, ...]:
     """The active effects of a set with scanned numbers moved to where the evidence is highest."""
-    found = []
-    for one in active:
-        keys = [k for k in one.effect.symbolic if k not in FIXED and isinstance(one.scanned.get(k), float)]
-        found.append(_sharper(problem, weighed, one, keys) if keys else one)
-    return tuple(found)
+    return tuple(_sharper(problem, weighed, one) for one in active)
 
 
-def _sharper(problem: Linearisation, weighed: Weighed, one: Active, keys: Sequence[str]) -> Active:
+def _sharper(problem: Linearisation, weighed: Weighed, one: Active) -> Active:
+    keys = [k for k in one.effect.symbolic if k not in FIXED and isinstance(one.scanned.get(k), float)]
+    if not keys:
+        return one
     index = problem.index
     family = next(f for n, f in index.items() if (n.effect, n.joint) == one.key)
     others = given(problem.pool, [Member(m.family, m.variant, 1.0) for m in weighed.members if m.family != family])

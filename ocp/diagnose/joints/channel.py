@@ -30,7 +30,7 @@ from ocp.effects.engine.evaluate import ARM_LAYOUT, ArmRows, arm_rows
 from ocp.effects.motor_harmonic import ratios_of
 from robots.calibration.reading_model import RowInputs
 from robots.compliance import compliance_from_stiffness
-from robots.gauss_newton import Rule, minimise
+from robots.gauss_newton import Rule, linear_step, minimise
 from robots.pose import Array, Index, Mask
 from robots.robot import Robot
 from robots.tracker_readings import Hanging
@@ -442,11 +442,8 @@ def _unsure_of(
     here = np.column_stack([left, own.columns * there_is, *(column_of(known, one, delays) for one in active)])
     white = known.whitened(here)
     far = np.column_stack([nuisance * there_is, *(column_of(there, one, delays) for one in active)]) * scale
-    U, s, Vt = np.linalg.svd(np.vstack([white[:, 1:] * scale, np.diag(held.astype(float))]), full_matrices=False)
-    told = s > RANK * s[0]
-    modes = far @ (Vt[told].T / s[told])
-    step = U[:, told].T @ np.append(white[:, 0], np.where(held, -offset / scale, 0.0))
-    return np.sum(modes**2, axis=1), modes @ step
+    step = linear_step(white[:, 0], white[:, 1:] * scale, offset / scale, held.astype(float), RANK)
+    return np.einsum("np,pq,nq->n", far, step.covariance, far, optimize=True), far @ step.change
 
 
 def fitted(problem: EncoderProblem, active: tuple[Active, ...], rows: Mask) -> JointChannel:

@@ -125,12 +125,8 @@ def promised(diagnosis: Diagnosis, gaps: Sequence[SignalGap]) -> tuple[Active, .
     """Named effects that do no harm: every signal which shows one, and has a gap to speak of, promises with the low end of its
     interval above zero that the gap shrinks, on another day too, and no kind of condition that was left out says that it grows;
     one signal at least does."""
-    found = []
-    for one in diagnosis.active:
-        told = [g.helps for g in gaps if one.key in g.shown and g.shrinkage is not None]
-        if told and all(told):
-            found.append(one)
-    return tuple(found)
+    told = [[g.helps for g in gaps if one.key in g.shown and g.shrinkage is not None] for one in diagnosis.active]
+    return tuple(one for one, helps in zip(diagnosis.active, told, strict=True) if helps and all(helps))
 
 
 def figures(sizes: Array) -> dict[str, float]:

@@ -190,11 +190,8 @@ def signature(problem: Linearisation, weighed: Weighed, one: Active) -> Array:
 
 def classes_of(problem: Linearisation, weighed: Weighed, active: Sequence[Active]) -> tuple[tuple[Name, ...], ...]:
     """Classes of these effects of a set and what cannot be told from them."""
-    found = []
-    for one in active:
-        name = Name(*one.key)
-        found.append((name, *twins(problem, weighed, problem.member(weighed, name), signature(problem, weighed, one))))
-    return merged(found)
+    names = [(Name(*one.key), signature(problem, weighed, one)) for one in active]
+    return merged((name, *twins(problem, weighed, problem.member(weighed, name), d)) for name, d in names)
 
 
 def suspected(problem: Linearisation, search: Search, ranked: Sequence[Ranked]) -> tuple[tuple[Name, ...], ...]:
@@ -284,12 +281,8 @@ def share_left(problem: Linearisation, family: Family, variant: int, projected: 
 
 def blind(channels: Sequence[Channel], library: Mapping[str, Effect], options: Options) -> tuple[str, ...]:
     """Effects that no channel can see, with the reason of the channel that could in principle."""
-    found = []
-    for effect in dict.fromkeys(e for e, _ in names_of(library, options)):
-        reasons = [c.blind(effect) for c in channels]
-        if all(reasons):
-            found.append(max(reasons, key=lambda r: "column" in r))
-    return tuple(found)
+    every = [[c.blind(effect) for c in channels] for effect in dict.fromkeys(e for e, _ in names_of(library, options))]
+    return tuple(max(reasons, key=lambda r: "column" in r) for reasons in every if all(reasons))
 
 
 def implausible(active: Sequence[Active]) -> list[tuple[Name, str]]:
