@@ -128,11 +128,6 @@ class CandidatePool:
         """Columns and products of members."""
         return _Kept(len(self.y))
 
-    @cached_property
-    def square(self) -> float:
-        """y^T y."""
-        return float(self.y @ self.y)
-
     def among(self, members: Sequence[Member]) -> tuple[Index, Array, Array, Array]:
         """Where members' columns are kept (r,), their sizes (r,), products (r, r) of columns times sizes with each other, and
         (r,) with y."""
@@ -319,7 +314,7 @@ def squares(X: Array) -> Array:
 
 def given(pool: CandidatePool, members: Sequence[Member]) -> Given:
     """Joint evidence of members at their sizes."""
-    left = pool.square
+    left = float(pool.y @ pool.y)
     if not members:
         return Given(pool, (), np.zeros(0, np.int64), np.zeros(0), np.zeros((0, 0)), np.zeros(0), left, 0.0)
     at, sizes, G, b = pool.among(members)

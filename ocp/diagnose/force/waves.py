@@ -64,16 +64,15 @@ def telling_waves(problem: ForceProblem, fit: EffectFit) -> tuple[Wave, ...]:
         if highest < 2 * lowest:
             continue
         numbers = np.arange(lowest, highest, 1.0 / (FINE * length))
-        if where == "time wave":
-            # Where trains have their tones, up to half the logging rate; slower ones would follow what smooth functions are for.
-            finer = np.arange(max(lowest, RATES[0]), highest / HIGHEST, 1.0 / (FINE * OVERTONES * length))
-            found += _apart(problem, fit, y, "time wave" + BY_RUN, finer, along, OVERTONES)
         masked = touching * weight
         score = np.abs(_transform(numbers, along, masked * y)) ** 2
         probes = np.unique(np.linspace(0, len(numbers) - 1, LENGTH_PROBES).round().astype(int))
         sizes = [float(np.sum(white.whole(masked[:, None] * _both(numbers[k] * along)) ** 2)) / 2 for k in probes]
         gain = score / np.interp(numbers, numbers[probes], sizes)
         if where == "time wave":
+            # Where trains have their tones, up to half the logging rate; slower ones would follow what smooth functions are for.
+            finer = np.arange(max(lowest, RATES[0]), highest / HIGHEST, 1.0 / (FINE * OVERTONES * length))
+            found += _apart(problem, fit, y, "time wave" + BY_RUN, finer, along, OVERTONES)
             found += _knocks(numbers, gain, highest / HIGHEST, along, touching)
         among = max(int(len(numbers) / 2), WAVES_PICKED)
         waves = [(where, numbers[k], 1) for k in _peaks(gain)]

@@ -1,5 +1,6 @@
 """A log of link-side encoders as recorded: motor and link angles, torques (FORMATS, joints.csv)."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -169,19 +170,13 @@ def _notices(table: CsvTable, log: JointLog) -> list[str]:
     if step > SLOW:
         found.append(f"{name}: rows stand {step:.3g} s apart: are times in seconds? delays show in faster logs alone")
     copied = [j for j in log.joints if np.array_equal(log.link[:, j - 1], log.q[:, j - 1])]
-    if copied:
-        found.append(f"{name}: the link side of joint {', '.join(map(str, copied))} is a copy of its motor's: it shows no gap")
-    still = [j for j in range(1, 7) if LINK[j - 1] in table.numbers and j not in log.joints]
-    if still:
-        found.append(f"{name}: the link side of joint {', '.join(map(str, still))} is not used, the joint hardly moved")
     without = [j for j in range(1, 7) if j not in log.joints]
-    if without:
-        them = "it" if len(without) == 1 else "them"
-        found.append(f"{name}: no link side of joint {', '.join(map(str, without))}: it says nothing of {them}")
-    dark = [j for j in log.joints if not np.isfinite(log.tau[:, j - 1]).any()]
-    if dark:
-        found.append(
-            f"{name}: no column {', '.join(TORQUE[j - 1] for j in dark)}: the load is taken from the believed arm, springs show "
-            "less sharply"
-        )
-    return found
+    still = [j for j in without if LINK[j - 1] in table.numbers]
+    dark = [TORQUE[j - 1] for j in log.joints if not np.isfinite(log.tau[:, j - 1]).any()]
+    told: dict[str, Sequence[object]] = {
+        "the link side of joint {} is a copy of its motor's: it shows no gap": copied,
+        "the link side of joint {} is not used, the joint hardly moved": still,
+        f"no link side of joint {{}}: it says nothing of {'it' if len(without) == 1 else 'them'}": without,
+        "no column {}: the load is taken from the believed arm, springs show less sharply": dark,
+    }
+    return found + [f"{name}: {words.format(', '.join(map(str, which)))}" for words, which in told.items() if which]
