@@ -226,7 +226,8 @@ def test_the_promise_is_kept_after_the_log(worn):
 
 def test_a_promise_for_the_conditions_asked_for_is_of_these_rows_and_no_others(worn):
     before, after = worn.channel, worn.channel.with_active((_wear(),))
-    asked = Asked(before.log, worn.later.model, before.problem.scene.rows, worn.later, frozenset({"clock_s"}))
+    clocked = replace(worn.later.conditions, given=frozenset({"clock_s"}))
+    asked = Asked(before.log, before.problem.scene.rows, replace(worn.later, conditions=clocked))
     made = anticipated_grinding(before, after, (), asked)
     at = worn.later.touching
     assert made.share.tolist() == [1.0] and made.whole and made.moved.shape == (1, 1, len(at))
@@ -244,7 +245,7 @@ def test_conditions_wholly_in_the_air_are_predicted_and_promise_as_new_data_do(w
     after, scene = worn.channel.with_active((_wear(),)), worn.later
     air = replace(scene.rows, contact=np.zeros(len(scene.rows), bool))
     there = replace(scene, rows=air, pressed=None)
-    asked = Asked(worn.channel.log, scene.model, worn.channel.problem.scene.rows, there, frozenset({"clock_s"}))
+    asked = Asked(worn.channel.log, worn.channel.problem.scene.rows, there)
     after.made["asked"] = asked
     told = [modelled(worn.channel, after, (Alternative(1.0, after.active),), (), 0.0, None, one) for one in (asked.sealed, None)]
     assert not told[0][1] and told[0][0] == told[1][0]

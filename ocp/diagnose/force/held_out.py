@@ -13,7 +13,7 @@ import numpy as np
 
 from ocp.calibrate.force.assessment import without_rows
 from ocp.calibrate.force.log import ForceLog
-from ocp.calibrate.force.model import ForceModel, ForceRows
+from ocp.calibrate.force.model import ForceRows
 from ocp.calibrate.force.noise import ReadingNoise
 from ocp.calibrate.force.rows import log_conditions, prepare_force
 from ocp.diagnose.engine.channel_system import Fold, HeldOut, Predictable, Sealed, is_outlier, predictable
@@ -120,13 +120,11 @@ def _errors(problem: ForceProblem, fit: EffectFit, change: Array) -> Array:
 @dataclass(frozen=True)
 class Asked:
     """Conditions that are asked for, and the log before them, with one law of the wheel for both: rows of the log, the scene
-    there, columns that it has."""
+    there."""
 
     sealed: ForceLog
-    model: ForceModel
     measured: ForceRows
     there: LogScene
-    given: frozenset[str]
 
     @staticmethod
     def of(log: ForceLog, scene: LogScene, sealed: ForceLog) -> "Asked":
@@ -137,11 +135,11 @@ class Asked:
         known = log_conditions(scene.cell, sealed, 0.0 if sealed.clock is not None else used)
         told = predictable(scene.given, lambda effect: known.given.issuperset(effect.needs)).known
         there = replace(scene, model=setup.model, given=told).over(setup.rows[1], known)
-        return Asked(sealed, setup.model, setup.rows[0], there, known.given)
+        return Asked(sealed, setup.rows[0], there)
 
     def says(self, effect: Effect) -> bool:
         """Whether they have every column that an effect needs."""
-        return self.given.issuperset(effect.needs)
+        return self.there.conditions.given.issuperset(effect.needs)
 
 
 def predict_sealed_force(before: tuple[ForceProblem, EffectFit], after: tuple[ForceProblem, EffectFit], asked: Asked) -> Sealed:
@@ -151,22 +149,20 @@ def predict_sealed_force(before: tuple[ForceProblem, EffectFit], after: tuple[Fo
     Effects for which they lack a column are left out of the correction and counted in sigma, as they were in the log.
     The wheel's law was fitted again to cover both logs, and the contact is refitted to the first on it.
     """
-    problem, scene, there, has = after[0], after[0].scene, asked.there, asked.says
-    found: list[tuple[EffectFit, Predicted]] = []
-    for own, fit in (before, after):
-        if found and fit is before[1]:  # no effect
-            found.append(found[0])
-            continue
-        measured = replace(own, scene=replace(own.scene, model=asked.model, rows=asked.measured))
+    problem, scene, there = after[0], after[0].scene, asked.there
+
+    def told(own: ForceProblem, fit: EffectFit) -> tuple[EffectFit, Predicted]:
+        measured = replace(own, scene=replace(own.scene, model=there.model, rows=asked.measured))
         again = fit_effects(measured, fit.active, fit)
-        effects = predictable(again.active, has).known
-        found.append((again, predict_forces(there, again.at.x, effects)))
-    (_, baseline), (fit, corrected) = found
-    parted = predictable(fit.active, has)
+        return again, predict_forces(there, again.at.x, predictable(again.active, asked.says).known)
+
+    bare = told(*before)
+    fit, corrected = bare if after[1] is before[1] else told(*after)
+    parted = predictable(fit.active, asked.says)
     setpoint = scene.cell.flange.setpoint if scene.cell.flange is not None else 0.0
     more = _changed(problem.log, asked.sealed, setpoint) + _unshown(scene, fit, parted)
     sigma = _sigma(problem, there, fit, corrected, parted.kept, more)
-    return Sealed(baseline.fn[:, None], corrected.fn[:, None], sigma[:, None], parted.lacking)
+    return Sealed(bare[1].fn[:, None], corrected.fn[:, None], sigma[:, None], parted.lacking)
 
 
 def _unshown(scene: LogScene, fit: EffectFit, parted: Predictable) -> float:
