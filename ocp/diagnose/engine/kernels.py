@@ -50,25 +50,6 @@ Conditions = Mapping[str, Array]
 
 
 @dataclass(frozen=True)
-class Orders:
-    """Cosine and sine of an angle, a variant for each of its orders (V,) per turn, times the factor `by`, in words."""
-
-    angle: str
-    orders: Array
-    by: str = ""
-
-    def words(self, variant: int) -> Words:
-        """Of one order."""
-        return turns(self.angle, float(self.orders[variant]), self.by)
-
-    def numbers(self, x: Conditions) -> Array:
-        """Of all orders (n, V, 2)."""
-        phase = self.orders * x[self.angle][:, None]
-        both = np.stack([np.cos(phase), np.sin(phase)], axis=2)
-        return in_numbers([self.by], x)[:, :, None] * both if self.by else both
-
-
-@dataclass(frozen=True)
 class Kernel:
     """What varies with the condition `where`; source: joint, axis, frame, beam or reading; joint (0: none); ways (n, k, d) in
     which it enters k components of a gap: variants of it, as are its features of unit size, in words or as numbers (n, V, m);
@@ -79,7 +60,7 @@ class Kernel:
     source: str
     joint: int
     ways: Sequence[Array]
-    features: Sequence[Words] | Orders | Array
+    features: Sequence[Words] | Array
     low: float
     high: float
     x: Conditions
@@ -89,17 +70,13 @@ class Kernel:
     def words(self, variant: int) -> Words:
         """Features of a variant as a patch has them; none where it cannot hold them."""
         every = self.told if isinstance(self.features, np.ndarray) else self.features
-        if isinstance(every, Orders):
-            return every.words(variant)
         return every[variant if len(every) > 1 else 0] if len(every) else ()
 
     @property
     def changes(self) -> Array:
         """Of the gap (n, k, variants, m) SI: every direction of a way with every feature."""
         f = self.features
-        if isinstance(f, Orders):
-            f = f.numbers(self.x)
-        elif not isinstance(f, np.ndarray):
+        if not isinstance(f, np.ndarray):
             f = np.stack([in_numbers(words, self.x) for words in f], axis=1)
         n, V, _ = f.shape
         each = [(way[:, :, None, :, None] * f[:, None, :, None]).reshape(n, way.shape[1], V, -1) for way in self.ways]
@@ -156,13 +133,13 @@ def kernels(c: ReadingConditions) -> Iterator[Kernel]:
             yield Kernel(where, "reading", 0, ways, features, *FORCE_KERNEL, x, among, told)
 
 
-def _of_joint(c: ReadingConditions, j: int) -> Iterator[tuple[str, Sequence[Words] | Orders | Array]]:
+def _of_joint(c: ReadingConditions, j: int) -> Iterator[tuple[str, Sequence[Words] | Array]]:
     """Features of joint j (0..5), by what they vary with."""
     name, tracker = j + 1, c.signal == "tracker"
     q, tau, sign = f"q{name}", f"tau{name}", f"approach{name}"
     loaded = c.tau is not None and np.ptp(c.tau[:, j]) > LEAST_TORQUE
     yield q, [half_waves(q, SMOOTH)]
-    yield f"ripple{name}", Orders(q, RIPPLES)
+    yield f"ripple{name}", [turns(q, order) for order in RIPPLES]
     if c.approach is not None and np.ptp(c.approach[:, j]) > 0:
         yield sign, [[sign, *turns(q, k, sign)] for k in (1, 2)]
         if loaded:
@@ -173,11 +150,11 @@ def _of_joint(c: ReadingConditions, j: int) -> Iterator[tuple[str, Sequence[Word
             yield f"step{name}", smooth(c.moved[:, j], 5)[:, None]
     ratios = c.gear_ratio[j] if c.gear_ratio is not None else ()
     if len(ratios):
-        yield f"motor{name}", Orders(q, np.outer(ratios, np.arange(1, MOTOR_WAVES + 1)).ravel())
+        yield f"motor{name}", [turns(q, k * ratio) for ratio in ratios for k in range(1, MOTOR_WAVES + 1)]
     if loaded:
         yield tau, [half_waves(tau, 3)]
         if tracker:
-            yield f"{tau} x ripple{name}", Orders(q, LOADED, *powers(tau, 1))
+            yield f"{tau} x ripple{name}", [turns(q, order, *powers(tau, 1)) for order in LOADED]
     for i in range(6):
         if i != j and np.ptp(c.q[:, i]) > LEAST_TURN:
             other = f"q{i + 1}"
