@@ -15,7 +15,7 @@ from ocp.diagnose.verdict.diagnosis import diagnose_channels
 from ocp.effects.catalogue import effect_list, effects_table, library
 from robots.gravity import GRAVITY, weight_torques
 from robots.kinematics import forward
-from tests.diagnose.test_diagnosis_tracker import LIBRARY, ROBOT, channel, column, world
+from tests.diagnose.test_diagnosis_tracker import LIBRARY, ROBOT, channel, column, without, world
 from tests.support.dropped_effect import dropped_effect
 from tests.support.simulated_campaign import NESTS, PAYLOADS
 
@@ -71,7 +71,7 @@ def test_a_step_of_a_nest_is_placed_when_its_name_is_withheld():
         return late[:, None] * np.array([1.5e-4, -1e-4, 0.5e-4])
 
     readings, _ = world(12, None, moved)
-    d = diagnose_channels([channel(readings)], LIBRARY, Options(folds=False, withheld=("target_shift",)))
+    d = diagnose_channels([channel(readings)], without("target_shift"), Options(folds=False))
     assert d.verdict == "unexplained"
     assert d.location is not None and d.location.subsystem == "target" and d.location.joint == 0
 
@@ -81,8 +81,8 @@ def test_the_trackers_circle_is_told_from_the_arm():
     at = points(readings)
     azimuth = np.arctan2(at[:, 1], at[:, 0])
     wave = about_head(at, 6e-5 * np.cos(6.0 * azimuth))
-    options = Options(folds=False, withheld=("azimuth_harmonic",))
-    d = diagnose_channels([channel(replace(readings, point=readings.point + wave))], LIBRARY, options)
+    turned = channel(replace(readings, point=readings.point + wave))
+    d = diagnose_channels([turned], without("azimuth_harmonic"), Options(folds=False))
     assert d.verdict == "unexplained"
     assert d.location is not None and d.location.subsystem == "tracker" and d.location.depends_on == ("azimuth",)
 
@@ -94,7 +94,7 @@ def test_what_grows_with_warmth_gets_no_two_other_names(centre):
     there = points(readings)
     grown = 6e-6 * (readings.temperature - 22.0)[:, None] * (there - centre * there.mean(axis=0))
     warm = channel(replace(readings, point=readings.point + grown))
-    d = diagnose_channels([warm], LIBRARY, Options(folds=False, withheld=("air_scale", "link_thermal")))
+    d = diagnose_channels([warm], without("air_scale", "link_thermal"), Options(folds=False))
     assert d.verdict == "unexplained" and not d.active
     assert d.location is not None and d.location.subsystem == "tracker" and {"range"} < set(d.location.depends_on)
 

@@ -73,9 +73,14 @@ def column(j, values):
     return out
 
 
-def diagnosed(readings, **options):
+def diagnosed(readings, known=LIBRARY, **options):
     """Findings without folds and places, which most tests need not."""
-    return diagnose_channels([channel(readings)], LIBRARY, Options(**({"folds": False, "where": False} | options)))
+    return diagnose_channels([channel(readings)], known, Options(**({"folds": False, "where": False} | options)))
+
+
+def without(*names):
+    """The library without some of its effects."""
+    return {name: effect for name, effect in LIBRARY.items() if name not in names}
 
 
 PLANTED = {
@@ -322,7 +327,7 @@ def test_an_effect_outside_the_catalogue_is_placed_but_not_named():
 
 def test_what_is_withheld_from_the_library_is_not_named():
     readings, _ = world(4, PLANTED["backlash:5"])
-    d = diagnosed(readings, withheld=("backlash", "friction_windup"), where=True)
+    d = diagnosed(readings, without("backlash", "friction_windup"), where=True)
     assert d.verdict == "unexplained"
     assert d.location is not None and d.location.joint == 5
 

@@ -28,15 +28,13 @@ class Options:
     """How to search.
 
     most: effects of an explanation at most; beam: explanations kept while growing;
-    prior_effects: effects expected in a data set before it is seen;
-    withheld: names of effects left out of the library (leave-one-effect-out); barred: effects and joints that were shown to be
-    impostors; where, folds: whether to compute those parts.
+    prior_effects: effects expected in a data set before it is seen; barred: effects and joints that were shown to be impostors;
+    where, folds: whether to compute those parts.
     """
 
     most: int = 4
     beam: int = 6
     prior_effects: float = PRIOR_EFFECTS
-    withheld: tuple[str, ...] = ()
     barred: tuple[Name, ...] = ()
     where: bool = True
     folds: bool = True

@@ -32,8 +32,7 @@ class Geared(Protocol):
 
 def names_of(library: Mapping[str, Effect], options: Options) -> list[tuple[Effect, int]]:
     """Every effect at every joint it may have, impostors left out."""
-    places = [(e, j) for n, e in library.items() if n not in options.withheld for j in (e.joints or (0,))]
-    return [(e, j) for e, j in places if Name(e.name, j) not in options.barred]
+    return [(e, j) for e in library.values() for j in e.places if Name(e.name, j) not in options.barred]
 
 
 @dataclass(frozen=True)

@@ -26,11 +26,6 @@ from robots.errors import Infeasible
 MOST_TERMS = 4  # of a formula that are told
 
 
-def signal_of(name: Name) -> str:
-    """Of which readings a kernel is."""
-    return name.effect.removeprefix("?").partition("/")[0]
-
-
 def as_patch(name: Name, variant: int, size: float, channel: Channel) -> Active | None:
     """A kernel as a patch of zero weights, prior sd `size` of its coefficients, a reading's as those that are there already: of
     the force, or of what the sensor shows beside it; None where no patch can hold it."""
@@ -67,7 +62,7 @@ def patches_of(problem: Linearisation, search: Search, where: Mapping[Name, floa
     which of the two it is: a kernel of one shares what it has with the same kernel of the other."""
     total, found = sum(where.values()), dict[Name, Alternative]()
     ordered = sorted(where, key=lambda n: -where[n])[: rules.MOST_FOLLOWED]
-    channel = next((c for c in problem.channels for name in ordered[:1] if c.name == signal_of(name)), None)
+    channel = next((c for c in problem.channels for name in ordered[:1] if name.effect.startswith(f"?{c.name}/")), None)
     for name in ordered:
         member = problem.member(problem.best_with(search.sets, name), name)
         family = problem.pool.families[member.family]
