@@ -35,9 +35,10 @@ class CsvTable:
     def __len__(self) -> int:
         return len(self.line)
 
-    def stack(self, columns: Sequence[str]) -> Array:
-        """The named columns side by side, (n, len(columns))."""
-        return np.stack([self.numbers[c] for c in columns], axis=1)
+    def stack(self, columns: Sequence[str], absent: float | None = None) -> Array:
+        """The named columns side by side, (n, len(columns)), a number in the place of one that is absent."""
+        known = self.numbers if absent is None else dict.fromkeys(columns, np.full(len(self), absent)) | self.numbers
+        return np.stack([known[c] for c in columns], axis=1)
 
     def take(self, rows: NDArray[np.int64]) -> "CsvTable":
         """The table of some rows only."""

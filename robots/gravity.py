@@ -46,16 +46,17 @@ def _point(frame: Any, local: Any) -> Any:
     return frame[:3, :3] @ local + frame[:3, 3]
 
 
-def weight_torques(robot: Robot, q: ArrayLike, payload_mass: float = 0.0, payload_com: ArrayLike = (0.0, 0.0, 0.0)) -> Array:
+def weight_torques(robot: Robot, q: ArrayLike, payload_mass: ArrayLike = 0.0, payload_com: ArrayLike = (0.0, 0.0, 0.0)) -> Array:
     """Torques of weight (n, 6) N m, positive along +q, at postures q (n, 6) rad.
 
-    Payload kg, its centre (3,) m in the flange frame.
+    Payload kg, its centre (3,) m in the flange frame: one, or one for each posture (n,), (n, 3).
     """
     constants = (robot.mdh, robot.sign, robot.link_mass, robot.link_com, robot.gravity_direction)
     function = _compiled(*(np.asarray(a, float).tobytes() for a in constants))
     rows = np.asarray(q, float).reshape(-1, 6)
-    payload = np.array([payload_mass, *np.asarray(payload_com, float)])
-    return evaluate_rows(function, rows, np.broadcast_to(payload, (len(rows), 4)))
+    payload = np.empty((len(rows), 4))
+    payload[:, 0], payload[:, 1:] = payload_mass, payload_com
+    return evaluate_rows(function, rows, payload)
 
 
 @lru_cache(maxsize=32)

@@ -225,9 +225,9 @@ def read_readings(
         stations=stations,
         session=session,
         sessions=sessions,
-        load=table.stack(LOAD) if _all(table, LOAD) else _partial(table, LOAD),
+        load=table.stack(LOAD, 0.0),
         load_link=_links(table),
-        load_place=1e-3 * _partial(table, PLACE),
+        load_place=1e-3 * table.stack(PLACE, 0.0),
         approach=_signs(table),
         time=table.numbers.get("time_s"),
         waited=None if came is None else np.array([came[line][0] for line in table.line]),
@@ -265,7 +265,7 @@ def _last_motions(table: CsvTable) -> dict[int, Array] | None:
     """What was waited and moved for each line of a table, also where the tracker saw nothing; None without times."""
     if "time_s" not in table.numbers:
         return None
-    motions = np.hstack([np.radians(table.stack(AXES)), _partial(table, APPROACH)])
+    motions = np.hstack([np.radians(table.stack(AXES)), table.stack(APPROACH, 0.0)])
     session = np.asarray(table.labels("session")[0]) if "session" in table.words else np.zeros(len(table), np.int64)
     return dict(zip(table.line, np.column_stack(last_motions(table.numbers["time_s"], motions, session)), strict=True))
 
@@ -395,11 +395,6 @@ def _last_digit(points: Array) -> float:
 
 def _all(table: CsvTable, columns: tuple[str, ...]) -> bool:
     return all(c in table.numbers for c in columns)
-
-
-def _partial(table: CsvTable, columns: tuple[str, ...]) -> Array:
-    """Columns side by side, zero where one is absent."""
-    return np.stack([table.numbers.get(c, np.zeros(len(table))) for c in columns], axis=1)
 
 
 def _words(table: CsvTable, column: str, known: tuple[str, ...] | None = None, where: str = "") -> tuple[Index, tuple[str, ...]]:

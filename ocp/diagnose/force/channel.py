@@ -145,8 +145,7 @@ class ForceChannel:
 
     def blind(self, effect: Effect) -> str:
         """Why it cannot be seen."""
-        hooks = (effect.overlap, effect.push, effect.sensor, effect.shear, effect.along, effect.along_shear)
-        if not (effect.on_arm or any(hook is not None for hook in hooks)):
+        if not (effect.on_arm or effect.on_contact):
             return f"{effect.name} does not change the contact or the force readings"
         if self.problem.scene.cell.flange is None and effect.subsystem == "flange":
             return f"{effect.name}: the cell has no force flange"

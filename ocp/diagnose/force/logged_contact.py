@@ -21,7 +21,7 @@ from ocp.model.cell import Cell
 from ocp.model.force_balance import axis_directions
 from ocp.model.theta import BLOCKS, NAMES
 from robots.calibration.reading_model import RowInputs
-from robots.pose import Array, Index
+from robots.pose import Array, Index, skew
 
 PLACE = CONTACT_LAYOUT.places
 _AT = RowLayout(tuple((name, len(names)) for name, names in BLOCKS.items())).places  # of theta
@@ -72,9 +72,7 @@ def _push_axis(cell: Cell, R_flange: Array, n: Array) -> Array:
 
 def _blade_turn(r: Array) -> Array:
     """Rotations (n, 3, 3) of small rotation vectors (n, 3) to second order, as `ocp.model.force_balance` takes them."""
-    S = np.zeros((len(r), 3, 3))
-    S[:, 0, 1], S[:, 0, 2], S[:, 1, 2] = -r[:, 2], r[:, 1], -r[:, 0]
-    S = S - S.transpose(0, 2, 1)
+    S = skew(r)
     return np.asarray(np.eye(3) + S + 0.5 * S @ S)
 
 

@@ -67,7 +67,7 @@ def read_joint_log(path: str | Path, mapping: ColumnMapping = OURS, sealed: bool
         raise BadInput(f"{table.path}: none of the columns link1_deg .. link6_deg is there; the link side is what is compared")
     run, runs = table.labels("run")
     table.check_order("time_s", run, runs, strictly=True)
-    read = np.radians(np.hstack([table.stack(AXES), _columns(table, LINK)]))
+    read = np.radians(np.hstack([table.stack(AXES), table.stack(LINK, np.nan)]))
     whole = _unwrapped(read, run)
     turned = [name for name, was, now in zip((*AXES, *LINK), read.T, whole.T, strict=True) if not np.array_equal(was, now, True)]
     q, link = np.hsplit(whole, 2)
@@ -75,7 +75,7 @@ def read_joint_log(path: str | Path, mapping: ColumnMapping = OURS, sealed: bool
     if sealed:
         link = np.full_like(q, np.nan)
     _check_link(table, q, link)
-    log = JointLog(path=table.path, run=run, runs=runs, time=table.numbers["time_s"], q=q, link=link, tau=_columns(table, TORQUE))
+    log = JointLog(table.path, run, runs, table.numbers["time_s"], q, link, table.stack(TORQUE, np.nan))
     if turned:
         told = f"{table.path.name}: {', '.join(turned)} jump by whole turns from row to row, which are taken out"
         log = replace(log, notices=(told,))
@@ -100,11 +100,6 @@ def refuse_torque_unit(log: JointLog, weight: Array) -> None:
                 f"{log.path}, column {TORQUE[j]}: {told:.3g} N m (rms) where the arm's weight alone takes {asked:.3g}; give N m "
                 "at the link side of the gear"
             )
-
-
-def _columns(table: CsvTable, names: tuple[str, ...]) -> Array:
-    """Columns side by side, nan where one is absent."""
-    return np.stack([table.numbers.get(c, np.full(len(table), np.nan)) for c in names], axis=1)
 
 
 def _unwrapped(angles: Array, run: Index) -> Array:

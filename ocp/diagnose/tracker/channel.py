@@ -128,17 +128,13 @@ class TrackerChannel:
     def conditions(self) -> ReadingConditions:
         """What is known of the readings."""
         r, c = self.readings, self.task.campaign
-        tau = np.zeros_like(r.q)
-        for k in np.unique(r.payload):
-            rows = r.payload == k
-            mass, *com = self.fit.state.payloads[k]
-            tau[rows] = weight_torques(c.robot, r.q[rows], mass, np.array(com))
+        hung = self.fit.state.payloads[r.payload]
         same: dict[str, Any] = {name: getattr(r, name) for name in OF_READINGS}
         return ReadingConditions(
             signal=self.name,
             clock=r.time,
             session=r.session if len(r.sessions) > 1 else None,
-            tau=tau,
+            tau=weight_torques(c.robot, r.q, hung[:, 0], hung[:, 1:]),
             d_joints=self.fit.linear.d_joints,
             d_tilts=self.seen.tilts,
             moments=self.seen.moments,
