@@ -23,7 +23,7 @@ from ocp.diagnose.engine.channel_system import Channel, ReadingConditions, Seale
 from ocp.diagnose.engine.findings import Alternative, Diagnosis
 from ocp.diagnose.foresee.anticipated import signal_gap
 from ocp.diagnose.foresee.next_experiment import next_experiments
-from ocp.diagnose.foresee.patched import beside_unknown, patched, prediction, unnamed, with_patch
+from ocp.diagnose.foresee.patched import beside_unknown, patched, predictions, unnamed, with_patch
 from ocp.diagnose.joints.channel import JointChannel, joint_channel
 from ocp.diagnose.report.verdict_sentence import diagnosis_headline, not_written, told_as
 from ocp.diagnose.rules import FOLLOWED_FORCE
@@ -183,9 +183,7 @@ def predict_sealed(answer: Answer) -> dict[str, Sealed]:
         least = 0.0 if signal == "tracker" else FOLLOWED_FORCE
         first, *others = seen_by(signal, told)
         made = [(first.probability, channel.predict(sealed, first.active))]
-        for one in gathered(others, least):
-            if one.probability >= least and (other := prediction(channel, sealed, one)) is not None:
-                made.append((one.probability, other))
+        made += predictions(channel, sealed, [one for one in gathered(others, least) if one.probability >= least])
         # Both as they were fitted, each with the readings that it sets aside: the baseline, and the cell that is written.
         baseline, kept = (
             next(c for c in some if c.name == signal).predict(sealed, active)

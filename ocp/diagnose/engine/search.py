@@ -19,6 +19,7 @@ are grossly wrong. Without it other_hand_11 (springs that stiffen, lambda 3458) 
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -251,12 +252,10 @@ def outliers_rechecked(
     for f in np.argsort(-value)[:RECHECKED]:
         if value[f] <= 0:
             break
-        try:
+        with suppress(Infeasible):
             found = [c.with_active(whole.values(weigh(whole.pool, [*key, int(f)]))) for c in problem.channels]
-        except Infeasible:
-            continue
-        if _count(problem.channels) - _count(found) >= OUTLIERS_OF_ONE_CAUSE:
-            return found
+            if _count(problem.channels) - _count(found) >= OUTLIERS_OF_ONE_CAUSE:
+                return found
     return None
 
 

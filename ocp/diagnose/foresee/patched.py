@@ -4,7 +4,8 @@ New conditions may lie beyond what was measured. There the patch is gone and wha
 goes on as it was at the edge of the range, in a prediction's sigma it is as wide as the prior of the patch's features.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any
 
@@ -55,12 +56,11 @@ def _as_seen(before: Channel, written: tuple[Active, ...], patches: tuple[Active
     assert isinstance(after, ForceChannel)
     if after.log.ft is None:
         return after
-    try:
+    with suppress(Infeasible):  # no fit with it comes to rest
         beside = before.with_active((*written, *(read_beside(one) for one in patches)))
-    except Infeasible:  # no fit with it comes to rest
-        return after
-    assert isinstance(beside, ForceChannel)
-    return min((after, beside), key=lambda one: one.squares(after.fit.whiteners))
+        assert isinstance(beside, ForceChannel)
+        return min((after, beside), key=lambda one: one.squares(after.fit.whiteners))
+    return after
 
 
 def patched(found: Unnamed, named: Shrinkage | None, sealed: Any = None) -> Patched | None:
@@ -94,81 +94,70 @@ def _others(diagnosis: Diagnosis, written: tuple[Active, ...], after: Channel) -
 
 def beyond(channel: Channel, patches: Sequence[Active], sealed: Any) -> tuple[Array, Mask]:
     """Variance (n, k) SI^2 of what the patches leave open where they fade, and whether (n,) every condition of theirs lies in its
-    measured range; `sealed`: conditions."""
-    if not isinstance(channel, TrackerChannel):
-        return _beyond_log(channel, patches, sealed)
-    c = channel.task.campaign
-    new = replace(sealed, turn=None, sigma_turn=None)
-    about = channel_about(channel, replace(new, point=points(c.robot, new, c.instrument, channel.fit.state)))
-    open_, inside = np.zeros((len(sealed), 3)), np.full(len(sealed), True)
-    for one in unfaded(patches):
-        if not has_columns(one.effect, sealed):  # its usual size is in the predictions' sigma
-            inside[:] = False
-            continue
-        middle = one.scanned.get("about", (0.0,))[0]
-        d = lengths_outside(one, conditions_by_name(about.conditions, channel.task.reference, middle))
-        columns = displaced(motion(one.effect, one.joint, [one.scanned], about.seen), about.fit.linear.d_joints)[0]
-        usual = np.sum((columns * np.asarray(one.effect.prior_sd)) ** 2, axis=2)
-        open_ += (1.0 - np.exp(-(d**2)))[:, None] * usual
-        inside &= np.asarray(d == 0.0)
+    measured range; `sealed`: conditions. Where these lack a column the usual size of a patch is in the predictions' sigma."""
+    each = _of_points if isinstance(channel, TrackerChannel) else _of_forces
+    told = list(each(channel, patches, sealed))
+    open_, inside = np.zeros((len(sealed), 1)), np.full(len(sealed), len(told) == len(patches))
+    for outside, usual in told:
+        open_ = open_ + (1.0 - np.exp(-(outside**2)))[:, None] * usual
+        inside &= np.asarray(outside == 0.0)
     return open_, inside
 
 
-def _beyond_log(channel: Channel, patches: Sequence[Active], sealed: Any) -> tuple[Array, Mask]:
-    """`beyond` of a force log: as wide as the priors of the patches' features are in the log, on average."""
+def _of_points(channel: Channel, patches: Sequence[Active], sealed: Any) -> Iterator[tuple[Array, Array]]:
+    """Of every patch that the conditions tell: how far (n,) they lie outside, in the lengths of its features, and the variance
+    (n, 3) m^2 of its prior there."""
+    assert isinstance(channel, TrackerChannel)
+    c = channel.task.campaign
+    new = replace(sealed, turn=None, sigma_turn=None)
+    about = channel_about(channel, replace(new, point=points(c.robot, new, c.instrument, channel.fit.state)))
+    for one in unfaded(patches):
+        if has_columns(one.effect, sealed):
+            middle = one.scanned.get("about", (0.0,))[0]
+            columns = displaced(motion(one.effect, one.joint, [one.scanned], about.seen), about.fit.linear.d_joints)[0]
+            usual = np.sum((columns * np.asarray(one.effect.prior_sd)) ** 2, axis=2)
+            yield lengths_outside(one, conditions_by_name(about.conditions, channel.task.reference, middle)), usual
+
+
+def _of_forces(channel: Channel, patches: Sequence[Active], sealed: Any) -> Iterator[tuple[Array, Array]]:
+    """The same of a force log, the variance (n, 1) N^2 as it is in the log on average."""
     from ocp.diagnose.force.channel import ForceChannel, logged_conditions  # blade and contact: only for those who measured force
 
     assert isinstance(channel, ForceChannel)
-    asked = channel.asked(sealed)
+    asked, named = channel.asked(sealed), {one.key for one in patches}
     conditions = conditions_by_name(logged_conditions(channel.problem, sealed, asked.there.conditions), channel.reference)
-    open_, inside, place = np.zeros(len(sealed)), np.full(len(sealed), True), sum(channel.problem.sizes)
-    named = {one.key for one in patches}
-    usual = np.mean(channel.fit.normal[channel.log.contact] ** 2, axis=0)
+    usual, place = np.mean(channel.fit.normal[channel.log.contact] ** 2, axis=0), sum(channel.problem.sizes)
     for one in channel.active:
         here, place = slice(place, place + one.effect.size), place + one.effect.size
-        if one.key not in named:
-            continue
-        if not asked.says(one.effect):  # its usual size is in the predictions' sigma
-            inside[:] = False
-            continue
-        d = lengths_outside(unfaded([one])[0], conditions)
-        shown = sealed.contact | (one.scanned["source"] == "sensor")  # which reads in the air too
-        open_ += shown * (1.0 - np.exp(-(d**2))) * float(usual[here].sum())
-        inside &= np.asarray(d == 0.0)
-    return open_[:, None], inside
+        if one.key in named and asked.says(one.effect):
+            shown = sealed.contact | (one.scanned["source"] == "sensor")  # which reads in the air too
+            yield lengths_outside(unfaded([one])[0], conditions), shown[:, None] * float(usual[here].sum())
 
 
 def beside_unknown(told: Sealed, found: Unnamed, sealed: Any, known: Sequence[Alternative]) -> Sealed:
     """Predictions by the written names, sigma with what is there under no name, or under names that are not in it yet (`known`:
     alternatives that are)."""
     variance, counted = told.sigma**2, {effects_key(one.active): one.probability for one in known}
-    for one in found.others:
-        share = one.probability - counted.get(effects_key(one.active), 0.0)
-        if share > 0:
-            other = prediction(found.after, sealed, one)
-            if other is None:
-                continue
-            more = np.maximum(other.sigma**2 - told.sigma**2, 0.0)  # what the conditions lack for it
-            variance = variance + share * ((other.corrected - told.corrected) ** 2 + more)
+    shares = [(one.probability - counted.get(effects_key(one.active), 0.0), one.active) for one in found.others]
+    for share, other in predictions(found.after, sealed, [Alternative(share, active) for share, active in shares if share > 0]):
+        more = np.maximum(other.sigma**2 - told.sigma**2, 0.0)  # what the conditions lack for it
+        variance = variance + share * ((other.corrected - told.corrected) ** 2 + more)
     return replace(told, sigma=np.sqrt(variance))
 
 
-def prediction(channel: Channel, sealed: Any, one: Alternative) -> Sealed | None:
-    """By an alternative; None where no fit with it comes to rest."""
-    try:
-        return channel.predict(sealed, one.active)
-    except Infeasible:
-        return None
+def predictions(channel: Channel, sealed: Any, listed: Sequence[Alternative]) -> Iterator[tuple[float, Sealed]]:
+    """By the alternatives with which a fit comes to rest, with their probabilities."""
+    for one in listed:
+        with suppress(Infeasible):
+            yield one.probability, channel.predict(sealed, one.active)
 
 
 def with_patch(told: Sealed, found: Patched, sealed: Any) -> Sealed:
     """Predictions with those of the patch beside them; sigma holds what may stand in its place, and what it leaves open."""
     main = found.channel.predict(sealed, found.channel.active)
     variance = main.sigma**2
-    for one in found.others:
-        other = prediction(found.channel, sealed, one)
-        if other is not None:
-            variance = variance + one.probability * (other.corrected - main.corrected) ** 2
+    for probability, other in predictions(found.channel, sealed, found.others):
+        variance = variance + probability * (other.corrected - main.corrected) ** 2
     open_, inside = beyond(found.channel, found.patches, sealed)
     lacking = tuple(one.effect.title for one in found.patches if one.effect.name in main.lacking)
     told = replace(told, lacking=(*told.lacking, *lacking))
