@@ -151,7 +151,7 @@ def verdict_sentence(answer: Answer) -> str:
         return f"{_levels(answer)}{left}. Sure to {percent(d.p_none)}."
     if told_as(d) == "unexplained":
         chance = f"the chance that it is one outside is {percent(d.p_unknown)}"
-        where = f"{_place(d.location)}{_with(d.location)}{_ripple(answer)}{_size(answer)}"
+        where = f"{_place(d.location)}{_ripple(answer)}{_size(answer)}"
         return f"It lies in {where}. No effect of the catalogue fits; {chance}."
     best = d.explanations[0]
     what = _capital(listed([_or_what_it_may_be(name, d.classes) for name in best.names]))
@@ -183,7 +183,7 @@ def _remainder(answer: Answer) -> str:
     at = d.remainder
     gap = next((g for g in answer.gaps if at is not None and g.name == at.signal), answer.gaps[0])
     size = f"{figure(gap.remaining.above_noise)} {gap.unit} above the instrument's noise, " if gap.remaining.above_noise else ""
-    return f"{'' if at is None else f' in {_place(at)}{_with(at)}'} ({size}sure to {percent(d.p_unknown)})"
+    return f"{'' if at is None else f' in {_place(at)}'} ({size}sure to {percent(d.p_unknown)})"
 
 
 def _still(answer: Answer) -> str:
@@ -193,7 +193,7 @@ def _still(answer: Answer) -> str:
         return ""
     told = listed([f"{figure(g.remaining.above_noise)} {g.unit} of the {SHORT[g.name]} gap" for g in left])
     there = at is not None and at.signal in [g.name for g in left]
-    where = f", mostly in {_place(at)}{_with(at).replace(', and goes with', ', with')}" if there else ""
+    where = f", mostly in {_place(at).replace(', and goes with', ', with')}" if there else ""
     return f"; {told} stay above the instrument's noise{where}: too little to name, or what every gear makes"
 
 
@@ -264,24 +264,19 @@ def _where(answer: Answer) -> str:
     d = answer.diagnosis
     if d.verdict == "no_gap" or d.location is None:
         return "nowhere beyond noise"
-    return f"in {_place(d.location)}{_with(d.location)}, seen by {SIGNALS.get(d.location.signal, d.location.signal)}"
+    return f"in {_place(d.location)}, seen by {SIGNALS.get(d.location.signal, d.location.signal)}"
 
 
 def _place(at: Location | None) -> str:
+    """'joint 1, and goes with the angle of joint 1'."""
     if at is None:
         return "no part that can be told"
-    if at.joint:
-        return f"joint {at.joint}"
     if at.segments:
         return f"{condition_words(at.depends_on[0])} {listed(at.segments)}"
     words = {"timing": "the timing of the recordings", "target": "a reflector nest", "link": "the links"}
-    return words.get(at.subsystem, f"the {at.subsystem}")
-
-
-def _with(at: Location | None) -> str:
-    if at is None or not at.depends_on or at.segments:
-        return ""
-    return f", and goes with {listed([condition_words(c) for c in at.depends_on])}"
+    place = f"joint {at.joint}" if at.joint else words.get(at.subsystem, f"the {at.subsystem}")
+    goes = f", and goes with {listed([condition_words(c) for c in at.depends_on])}" if at.depends_on else ""
+    return place + goes
 
 
 def _how_sure(answer: Answer) -> str:
