@@ -91,7 +91,7 @@ def library_families(found: Sequence[Candidate], stack: Stack, options: Options,
         if not visible.any():
             continue
         scans = tuple(s for s, k in zip(c.scans, visible, strict=True) if k)
-        odds = log_odds(c.effect, kinds, options) + float(np.log(len(c.scans) / max(c.among, len(c.scans))))
+        odds = log_odds(c.effect, kinds, options.prior_effects) + float(np.log(len(c.scans) / max(c.among, len(c.scans))))
         seen = projected if visible.all() else projected[:, visible]
         name, sizes = Name(c.effect.name, c.joint), size_grid(ratio_of(c.effect, scans))
         families.append(Family(name, c.effect, scans, seen, scale, sizes, positive_of(c.effect), odds, among=c.among))
@@ -163,9 +163,9 @@ def has_twin(effect: Effect, joint: int, scans: Sequence[Scanned], among: int = 
     return max(len(scans), among) > 1 and joint > 0 and "amplitude_rad" in {p.key for p in effect.parameters}
 
 
-def log_odds(effect: Effect, kinds: int, options: Options) -> float:
-    """Prior odds of an effect at one joint, `kinds` effects being possible."""
-    return float(np.log(options.prior_effects / kinds / len(effect.places)))
+def log_odds(effect: Effect, kinds: int, expected: float = rules.PRIOR_EFFECTS) -> float:
+    """Prior odds of an effect at one joint, `kinds` effects being possible and so many of them expected."""
+    return float(np.log(expected / kinds / len(effect.places)))
 
 
 def ratio_of(effect: Effect, scans: Sequence[Scanned]) -> float:

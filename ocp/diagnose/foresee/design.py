@@ -19,7 +19,6 @@ from threadpoolctl import threadpool_limits
 from ocp.calibrate.force.log import AXES, FEED, NORMAL, POINT, ForceLog, log_of_table, read_force_log
 from ocp.diagnose.engine.channel_system import UNSEEN, Channel, needs_motion
 from ocp.diagnose.engine.evidence import project
-from ocp.diagnose.engine.findings import Options
 from ocp.diagnose.engine.linearisation import log_odds, smallest_seen
 from ocp.diagnose.foresee.planned_tracker import arm_expected, default_poses, planned_channel
 from ocp.diagnose.foresee.separation import few_of
@@ -33,7 +32,6 @@ from robots.errors import BadInput
 from robots.pose import Array, Index
 from robots.tracker_readings import read_readings
 
-USUAL = Options()
 POSES, FULL = 50, 150  # the plan looked at where none is given; the campaign held against it
 MOST_SCANS = 24  # variants looked at; the median of them is told
 FORCE = "force"  # the channel of a planned log
@@ -157,7 +155,7 @@ def smallest_visible(channel: Channel, effect: Effect, joint: int, energies: Map
     scans = _scans(channel, effect, joint)
     others = np.array([e for j, e in energies.items() if j != joint])
     among = max(len(scans), channel.surroundings.among.get(effect.name, 0))
-    return smallest_seen(effect, joint, scans, among, log_odds(effect, kinds, USUAL), energy, others)
+    return smallest_seen(effect, joint, scans, among, log_odds(effect, kinds), energy, others)
 
 
 def _scans(channel: Channel, effect: Effect, joint: int) -> tuple[Scanned, ...]:

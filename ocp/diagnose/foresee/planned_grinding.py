@@ -19,7 +19,7 @@ from ocp.calibrate.force.noise import CorrelatedNoise, NoiseGroup, ReadingNoise,
 from ocp.calibrate.force.rows import log_conditions, prepare_force
 from ocp.diagnose.engine.channel_system import UNSEEN, System, Variants
 from ocp.diagnose.engine.evidence import Projection, project
-from ocp.diagnose.engine.findings import Diagnosis, Name, Options, Ranked
+from ocp.diagnose.engine.findings import Diagnosis, Name, Ranked
 from ocp.diagnose.engine.linearisation import log_odds
 from ocp.diagnose.force.channel import ForceChannel, problem_of
 from ocp.diagnose.force.fit import BLOCKS, EffectFit, ForceProblem, linear, signals, units_of
@@ -391,6 +391,6 @@ def unseen(d: Diagnosis, channel: ForceChannel, library: dict[str, Effect]) -> l
             a = np.asarray(effect.prior_sd, float) / np.sqrt(effect.size)
             active = Active(effect, joint, a, scans[len(scans) // 2], np.zeros((effect.size, effect.size)))
             price = NAMED_PRICE * effect.size + float(np.log(len(scans)))
-            now = float(expit(log_odds(effect, kinds, Options()) - price))
+            now = float(expit(log_odds(effect, kinds) - price))
             found.append(RivalPair(Ranked(Name(effect.name, joint), now, 0.0, active, 0.0), None, 0, now))
     return found
