@@ -16,7 +16,6 @@ from scipy.linalg.lapack import dpotrf, dtrtri
 from ocp.diagnose import rules
 from ocp.diagnose.engine.evidence import Projection, Tails, log_evidence
 from ocp.diagnose.engine.findings import Name
-from ocp.diagnose.rules import NOISE_TRUST
 from ocp.effects.effect import Effect, Scanned
 from robots.pose import Array, Index, Mask
 
@@ -324,7 +323,7 @@ def given(pool: CandidatePool, members: Sequence[Member]) -> Given:
         raise np.linalg.LinAlgError("columns of a set are not numbers")
     inner = turn @ b
     after = max(left - float(inner @ inner), 1e-9)
-    fit = 0.5 * (pool.freedom + NOISE_TRUST) * np.log((NOISE_TRUST + after) / (NOISE_TRUST + left))
+    fit = 0.5 * (pool.freedom + rules.NOISE_TRUST) * np.log((rules.NOISE_TRUST + after) / (rules.NOISE_TRUST + left))
     return Given(pool, tuple(members), at, sizes, turn, inner, after, float(float(np.log(np.diag(turn)).sum()) - fit))
 
 

@@ -32,7 +32,6 @@ from ocp.diagnose.engine.findings import Name, Options
 from ocp.diagnose.engine.linearisation import Linearisation, linearised, stacked_columns
 from ocp.diagnose.engine.pool import Given, Member, given, squares
 from ocp.diagnose.engine.selection import misses_far_more_than_noise
-from ocp.diagnose.rules import OUTLIERS_OF_ONE_CAUSE, RECHECKED, SHARPER_GAIN
 from ocp.effects.effect import Active, Effect, Scanned, effects_key
 from robots.errors import Infeasible
 from robots.pose import Array, Mask
@@ -210,7 +209,7 @@ def _sharper(problem: Linearisation, weighed: Weighed, one: Active) -> Active:
             break
         values, means = _evidence(problem, others, one.effect, one.joint, moves)
         k = int(np.argmax(values))
-        if values[k] > level[0] + SHARPER_GAIN:
+        if values[k] > level[0] + rules.SHARPER_GAIN:
             best, level = moves[k], values[k : k + 1]
             here = Active(one.effect, one.joint, means[k], best, one.covariance)
         else:
@@ -240,7 +239,7 @@ def outliers_rechecked(
     problem: Linearisation, held: tuple[Active, ...], library: Mapping[str, Effect], options: Options
 ) -> list[Channel] | None:
     """The channels fitted with one effect more than is held, where that takes gross readings back; else None."""
-    if _count(problem.channels) < OUTLIERS_OF_ONE_CAUSE:
+    if _count(problem.channels) < rules.OUTLIERS_OF_ONE_CAUSE:
         return None
     whole = linearised([c.opened() if isinstance(c, WeighedReadings) else c for c in problem.channels], library, options)
     search = Search(whole.pool, options.most, options.beam)
@@ -249,12 +248,12 @@ def outliers_rechecked(
     there = weigh(whole.pool, key) if key else NOTHING
     value = search.scan(there).log + search.odds
     value[[*key, *np.flatnonzero(search.kernel | search.background)]] = -np.inf
-    for f in np.argsort(-value)[:RECHECKED]:
+    for f in np.argsort(-value)[: rules.RECHECKED]:
         if value[f] <= 0:
             break
         with suppress(Infeasible):
             found = [c.with_active(whole.values(weigh(whole.pool, [*key, int(f)]))) for c in problem.channels]
-            if _count(problem.channels) - _count(found) >= OUTLIERS_OF_ONE_CAUSE:
+            if _count(problem.channels) - _count(found) >= rules.OUTLIERS_OF_ONE_CAUSE:
                 return found
     return None
 
