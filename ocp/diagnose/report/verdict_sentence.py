@@ -231,11 +231,9 @@ def _levels(answer: Answer) -> str:
     """'Tracker: 0.19 mm before, 0.03 mm with it, noise 0.02 mm'."""
     parts = []
     for gap in answer.gaps:
-        before, after = figures(gap.before)["rms"], figures(gap.after)["rms"]
-        words = f"{SHORT[gap.name]} {figure(before)}"
-        if answer.diagnosis.active:
-            words += f" → {figure(after)}"
-        parts.append(f"{words} {gap.unit} (noise {figure(gap.noise_floor)})")
+        before, after = (figure(figures(sizes)["rms"]) for sizes in (gap.before, gap.after))
+        told = f"{before} → {after}" if answer.diagnosis.active else before
+        parts.append(f"{SHORT[gap.name]} {told} {gap.unit} (noise {figure(gap.noise_floor)})")
     return _capital(", ".join(parts))
 
 
@@ -291,14 +289,12 @@ def _how_sure(answer: Answer) -> str:
 def _better(answer: Answer) -> str:
     parts = []
     for gap in answer.gaps:
-        before, after = figures(gap.before), figures(gap.after)
-        words = f"{SHORT[gap.name]}: {figure(before['rms'])} → {figure(after['rms'])} {gap.unit} rms"
-        words += f", noise {figure(gap.noise_floor)}"
-        if gap.shrinkage is None:
-            unknown = answer.diagnosis.p_unknown > LEADS
-            words += (
-                "; what has no name is in that noise" if unknown else "; the gap is too small beside it to speak of shrinking"
-            )
+        before, after = (figure(figures(sizes)["rms"]) for sizes in (gap.before, gap.after))
+        words = f"{SHORT[gap.name]}: {before} → {after} {gap.unit} rms, noise {figure(gap.noise_floor)}"
+        if gap.shrinkage is None and answer.diagnosis.p_unknown > LEADS:
+            words += "; what has no name is in that noise"
+        elif gap.shrinkage is None:
+            words += "; the gap is too small beside it to speak of shrinking"
         elif gap.shrinkage != NONE:
             words += f"; {gap.there} {shrinkage_words(gap.shrinkage)} of the gap beyond noise {_gone(answer, gap).rstrip(',')}"
         parts.append(words)
