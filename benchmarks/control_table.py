@@ -83,7 +83,7 @@ def prepared(cell_file: Path, passes: str, feed: float, side: str, step: float, 
     contact = prepare_contact(cell, laid.blade, laid.paths, Phases())
     place = len(laid.paths) // 2
     scene = CollisionScene(cell, laid.blade.vertices)
-    ground = Ground(cell, believed_theta(cell), weights, contact.law, contact.cover, laid.blade.vertices, laid.cloud)
+    ground = Ground(cell, believed_theta(cell), weights, contact.law, contact.cover, laid.blade.vertices, laid.cloud, laid.beside)
     stretch = whole_lines(laid.paths, [np.asarray(c) for c in contact.compliance.per_pass])[0][place]
     seeds = sorted(seeds_of(cell, scene, contact.law, stretch.path), key=lambda seed: seed.cost)
     worker = PassWorker(ground)

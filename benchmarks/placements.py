@@ -45,7 +45,14 @@ def plan(cell: Cell, laid: LaidPaths, contact: ContactModel) -> str:
     try:
         seeds = find_seeds(cell, scene, contact.law, laid.paths)
         ground = Ground(
-            cell, believed_theta(cell), ObjectiveWeights(), contact.law, contact.cover, laid.blade.vertices, laid.cloud
+            cell,
+            believed_theta(cell),
+            ObjectiveWeights(),
+            contact.law,
+            contact.cover,
+            laid.blade.vertices,
+            laid.cloud,
+            laid.beside,
         )
         stretches = whole_lines(laid.paths, list(contact.compliance.per_pass))[0]
         solver = compiled_solver(cell, ground.law, ground.theta, ground.weights, laid.paths)

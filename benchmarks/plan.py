@@ -66,7 +66,9 @@ def prepared(cell_file: Path, stl: Path) -> Job:
     laid = lay_paths(cell, stl, PlanOptions(step=STEP))
     contact = prepare_contact(cell, laid.blade, laid.paths, Phases())
     seeds = find_seeds(cell, CollisionScene(cell, laid.blade.vertices), contact.law, laid.paths)
-    ground = Ground(cell, believed_theta(cell), ObjectiveWeights(), contact.law, contact.cover, laid.blade.vertices, laid.cloud)
+    ground = Ground(
+        cell, believed_theta(cell), ObjectiveWeights(), contact.law, contact.cover, laid.blade.vertices, laid.cloud, laid.beside
+    )
     return Job(ground, laid.paths, seeds, [np.asarray(c) for c in contact.compliance.per_pass])
 
 

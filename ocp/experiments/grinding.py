@@ -59,6 +59,7 @@ class Course:
     cell: Cell
     blade: Blade
     cloud: SurfaceCloud
+    beside: Array
     law: WheelLaw
     cover: Cover
     paths: list[BladePath]
@@ -92,7 +93,9 @@ def lay_course(cell: Cell, mount: str, phases: Phases) -> Course:
     with phases.phase(f"postures, {mount}"):
         seeds = find_seeds(cell, CollisionScene(cell, laid.blade.vertices), contact.law, paths)
     compliance = [np.asarray(contact.compliance.per_pass[k]) for k in chosen]
-    return Course(cell, laid.blade, laid.cloud, contact.law, contact.cover, paths, seeds, compliance, len(chosen) // 2)
+    return Course(
+        cell, laid.blade, laid.cloud, laid.beside, contact.law, contact.cover, paths, seeds, compliance, len(chosen) // 2
+    )
 
 
 def _spread(paths: list[BladePath]) -> list[int]:
@@ -118,7 +121,7 @@ def compensated(course: Course, calibration: Calibration | None, which: list[int
     theta = with_effects(calibrated, believed_theta(calibrated))  # what is registered stays in theta: one model serves all
     softer = course.cover.softer(cell.wheel.cover_modulus)
     law = replace(course.law, geometry=replace(course.law.geometry, modulus=cell.wheel.cover_modulus))
-    ground = Ground(cell, theta, ObjectiveWeights(), law, softer, course.blade.vertices, course.cloud)
+    ground = Ground(cell, theta, ObjectiveWeights(), law, softer, course.blade.vertices, course.cloud, course.beside)
     worker = PassWorker(ground, _solver(course).other(cell, law, theta))
     solved = (worker.solve(course.paths[k], course.seeds[k], course.compliance[k]) for k in which)
     return [one.grinding() for one in solved]

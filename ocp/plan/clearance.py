@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ocp.model.blade_gap import REACH
-from ocp.model.cell import Cell
+from ocp.model.cell import Cell, Wheel
 from ocp.plan.rules import (
     ARM_MARGIN,
     BLADE_MARGIN,
@@ -339,3 +339,16 @@ def find_secondary_contact(
         if beyond[i] > worst[0]:
             worst = (float(beyond[i]), k, float(np.hypot(x[i], y[i])), float(lateral[:-1][near][i]))
     return SecondaryContact(*worst, depths)
+
+
+def wheel_room(wheel: Wheel, points: Array, T_base_blade: Array) -> Array:
+    """Least distance (n,) m of points (k, 3) m of the blade from the wheel, a cylinder, at poses T_base_blade (n, 4, 4); zero or
+    less inside, inf without points."""
+    room = np.full(len(T_base_blade), np.inf)
+    if not len(points):
+        return room
+    for k, T in enumerate(T_base_blade):
+        lateral, _, rho = wheel.cylindrical(apply(T, points))
+        beside, off = np.abs(lateral) - 0.5 * wheel.width, rho - wheel.radius
+        room[k] = np.where((beside > 0) & (off > 0), np.hypot(beside, off), np.maximum(beside, off)).min()
+    return room

@@ -27,6 +27,7 @@ from robots.kinematics import forward
 from robots.pose import Array, apply
 from trajectories.blade import AerofoilShape, Blade, find_shape, read_blade
 from trajectories.blade.shape import KEPT
+from trajectories.blade.window import obstacles
 from trajectories.dialects import dialect_named
 from trajectories.passes import BladePath, PassOptions, ground_windows, passes
 from trajectories.path_points import paths_from_points, read_path_file
@@ -66,12 +67,13 @@ class PlanOptions:
 
 @dataclass(frozen=True)
 class LaidPaths:
-    """Blade, passes in the order of the lines, the ground surface as a cloud, the flanks in cells, what is wanted to be taken
-    off them, where that is beyond reach, and notices in sentences."""
+    """Blade, passes in the order of the lines, the ground surface as a cloud, points (k, 3) m on what is not aerofoil, the flanks
+    in cells, what is wanted to be taken off them, where that is beyond reach, and notices in sentences."""
 
     blade: Blade
     paths: list[BladePath]
     cloud: SurfaceCloud
+    beside: Array
     flanks: list[SideCells]
     wanted: Wanted
     beyond: list[CannotGrind]
@@ -98,7 +100,8 @@ def lay_paths(cell: Cell, stl: Path, options: PlanOptions) -> LaidPaths:
     beyond: list[CannotGrind] = []
     if options.stock is not None:
         paths, beyond = with_feeds(cell, wheel_cover(cell), paths, flanks, wanted)
-    return LaidPaths(blade, paths, cloud, flanks, wanted, beyond, (*blade.notices, *shape.notices, *notices))
+    anything = np.zeros((0, 3))  # a path made elsewhere may lead over fillet and platform
+    return LaidPaths(blade, paths, cloud, anything, flanks, wanted, beyond, (*blade.notices, *shape.notices, *notices))
 
 
 def refuse_flange(cell: Cell, paths: list[BladePath]) -> None:
@@ -142,7 +145,8 @@ def _laid_lines(cell: Cell, blade: Blade, shape: AerofoilShape, cloud: SurfaceCl
     flanks = flank_cells(shape, ground_windows(blade, shape, chosen), paths, 0.0)
     if options.even:
         paths, beyond = with_feeds(cell, cover, paths, flanks, wanted)
-    return LaidPaths(blade, paths, cloud, flanks, wanted, beyond, (*blade.notices, *shape.notices, *notices))
+    beside = obstacles(blade, shape)
+    return LaidPaths(blade, paths, cloud, beside, flanks, wanted, beyond, (*blade.notices, *shape.notices, *notices))
 
 
 _latest: dict[str, tuple[AerofoilShape, SurfaceCloud]] = {}

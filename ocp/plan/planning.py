@@ -108,7 +108,7 @@ def make_plan(cell_file: Path, blade_file: Path | None, options: PlanOptions, ph
     contact = prepare_contact(cell, laid.blade, laid.paths, phases, compiled)
     _refuse_forces(laid.paths, contact.law.limits["force"], options)
     scene = CollisionScene(cell, laid.blade.vertices)
-    ground = Ground(cell, theta, weights, contact.law, contact.cover, laid.blade.vertices, laid.cloud)
+    ground = Ground(cell, theta, weights, contact.law, contact.cover, laid.blade.vertices, laid.cloud, laid.beside)
     compliance = [np.asarray(c) for c in contact.compliance.per_pass]
 
     # What is beyond reach is told with the depths of this run: it stays out of what is remembered.

@@ -132,7 +132,9 @@ def test_a_calibrated_blade_is_stiffened_once(monkeypatch):
             return SimpleNamespace(grinding=lambda: None)
 
     cover = SimpleNamespace(softer=lambda modulus: None)
-    course = Course(believed, SimpleNamespace(vertices=None), None, Law(Geometry(1.0)), cover, [None], [[]], [compliance], 0)
+    course = Course(
+        believed, SimpleNamespace(vertices=None), None, None, Law(Geometry(1.0)), cover, [None], [[]], [compliance], 0
+    )
     monkeypatch.setattr(grinding, "PassWorker", Worker)
     monkeypatch.setattr(grinding, "_solver", lambda course: SimpleNamespace(other=lambda cell, law, theta: theta))
     grinding.compensated(course, calibration, [0])

@@ -355,7 +355,7 @@ def test_a_first_solve_is_pressed_in_as_the_contact_solved_directly_is():
     z, angle = (g.ravel() for g in np.meshgrid(np.arange(0.0, 0.1201, 4e-4), np.arange(-0.6, 0.601, 0.01)))
     normal = np.column_stack([np.sin(angle), np.cos(angle), 0 * z])
     cloud = SurfaceCloud(0.04 * normal + np.column_stack([0 * z, 0 * z, z]), normal)
-    ground = Ground(cell, solver.theta, solver.weights, solver.law, wheel_cover(cell), BAR, cloud)  # type: ignore[arg-type]
+    ground = Ground(cell, solver.theta, solver.weights, solver.law, wheel_cover(cell), BAR, cloud, np.zeros((0, 3)))  # type: ignore[arg-type]
     looked = PassWorker(ground, solver)._driven(problem)
     known = replace(problem, indentation_correction=np.interp(path.s, looked.patches.at, looked.missed))
     q = solver.seed_joints(problem)

@@ -36,7 +36,7 @@ def ground() -> Ground:
     x, y = np.arange(8.0), np.arange(4.0)
     cover = Cover(WheelGeometry(0.04, 0.015, 0.012, 2e6, 0.47), x, y, 1.0, np.ones(4), np.ones((5, 4, 4)))
     cloud = SurfaceCloud(np.ones((5, 3)), np.ones((5, 3)))
-    return Ground(cell, believed_theta(cell), ObjectiveWeights(), None, cover, np.ones((4, 3)), cloud)  # type: ignore[arg-type]
+    return Ground(cell, believed_theta(cell), ObjectiveWeights(), None, cover, np.ones((4, 3)), cloud, np.zeros((0, 3)))  # type: ignore[arg-type]
 
 
 def refuse() -> GroundLines:

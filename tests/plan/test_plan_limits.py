@@ -34,7 +34,7 @@ from ocp.plan.motion import _timed as _timed_pass
 from ocp.plan.motion import is_free
 from ocp.plan.passes import posture
 from ocp.plan.passes.course import steady
-from ocp.plan.passes.optimise import TouchesElsewhere, refuse_ends, refuse_unsound
+from ocp.plan.passes.optimise import PassesNear, TouchesElsewhere, refuse_ends, refuse_near, refuse_unsound
 from ocp.plan.passes.posture import Seed
 from ocp.plan.passes.problem import PassProblem
 from ocp.plan.passes.smoothness import axis_use
@@ -59,6 +59,7 @@ from tests.support.block_blade import BLOCK, blade_before_wheel, joints_of
 from tests.support.example_pass import bar_pass, bundled_cell
 from tests.support.house import ROOT
 from tests.support.round_bar import CONTACT, RADIUS, buried, on_wheel
+from trajectories.blade.window import GAP
 from trajectories.joint_trajectory import Limits
 from trajectories.program.driven import reinterpolate
 from trajectories.timing import RESERVE, time_joint_move
@@ -330,6 +331,32 @@ def test_contact_beside_the_planned_one_is_refused(cell):
         else:
             with pytest.raises(TouchesElsewhere, match=r"beside the contact, 0\.10 mm deeper than planned \(at most 0\.10\)"):
                 put_to_test(cell, points=point, T=T, curvature=curvature)
+
+
+@pytest.mark.parametrize("where", ["before its rim", "beside its flank", "off its edge"])
+def test_a_wheel_too_near_to_the_platform_is_refused(cell, where):
+    """A point of the platform, GAP from the wheel once flange, blade and arm have given way by 0.3 mm of the 0.5 mm overlap."""
+    wheel, arc, given = cell.wheel, 0.2, 3e-4
+    out, along = wheel.outward(np.array(arc)), wheel.axis
+    for more in (1e-7, -1e-7):
+        far = GAP + more
+        beyond, beside = {
+            "before its rim": (far, -0.01),
+            "beside its flank": (-0.01, far),
+            "off its edge": (0.6 * far, 0.8 * far),
+        }[where]
+        point = wheel.centre + (wheel.radius + beyond - given) * out + (0.5 * wheel.width + beside) * along
+        parts, numbers = np.array([[given, 2e-4, 0.0, 0.0]]), {"delta": np.array([5e-4]), "arc": np.array([arc])}
+        seen: Any = SimpleNamespace(T_base_blade=np.eye(4)[None], parts=parts, **numbers)
+        path: Any = SimpleNamespace(line=3, side="convex", s=np.zeros(1), start=0.0)
+        if more > 0:
+            refuse_near(cell, point[None], path, seen)
+        else:
+            with pytest.raises(
+                PassesNear, match=r"line 3 \(convex\), waypoint 1: the wheel would touch block, platform or shroud"
+            ):
+                refuse_near(cell, point[None], path, seen)
+    refuse_near(cell, np.zeros((0, 3)), path, seen)  # nothing beside the aerofoil
 
 
 @pytest.mark.parametrize("leant", [0.0, 0.5])

@@ -20,13 +20,13 @@ from ocp.contact.wheel.signorini import solve_force
 from ocp.model.blade_gap import SurfaceCloud, contact_stations
 from ocp.model.cell import Cell
 from ocp.model.theta import Theta
-from ocp.plan.clearance import CollisionScene, SecondaryContact, find_secondary_contact
+from ocp.plan.clearance import CollisionScene, SecondaryContact, find_secondary_contact, wheel_room
 from ocp.plan.passes.course import entry_of
 from ocp.plan.passes.posture import Seed, driven, find_seeds
 from ocp.plan.passes.problem import PassProblem, air_to_air_problem, lead_room, with_direction
 from ocp.plan.passes.solve import Evaluation, PassSolution, PassSolver
 from ocp.plan.passes.stage import ObjectiveWeights
-from ocp.plan.passes.stretches import CannotGrind, LeftOut, LineStretch, cut_out, joined
+from ocp.plan.passes.stretches import NO_ROOM, CannotGrind, LeftOut, LineStretch, cut_out, joined
 from ocp.plan.removal.dwell import DrivenLine
 from ocp.plan.removal.footprint import contacts_along, shape_under
 from ocp.plan.rules import (
@@ -44,6 +44,7 @@ from ocp.shell.native import evaluated_by, left_uncompiled
 from ocp.shell.processes import cores, interrupts_held_back, workers
 from robots.errors import Infeasible
 from robots.pose import Array
+from trajectories.blade.window import GAP
 from trajectories.passes import BladePath, reversed_path
 
 CORRECTIONS = 4
@@ -69,10 +70,14 @@ class TouchesElsewhere(CannotGrind):
     """The wheel would touch the blade beside the contact."""
 
 
+class PassesNear(CannotGrind):
+    """The wheel would pass too near to block, platform or shroud, in whatever posture the arm holds the blade there."""
+
+
 @dataclass(frozen=True)
 class Ground:
     """What all passes share: cell, parameters, the wheel's table and cover, the blade's vertices (m, 3) and its
-    surface as a fine cloud."""
+    surface as a fine cloud; points (k, 3) m beside the ground surface that the wheel keeps away from."""
 
     cell: Cell
     theta: Theta
@@ -81,6 +86,7 @@ class Ground:
     cover: Cover
     vertices: Array
     cloud: SurfaceCloud
+    beside: Array
 
 
 def solve_directly(ground: Ground, problem: PassProblem, force: Array, solved: Evaluation) -> Array:
@@ -198,6 +204,8 @@ class PassWorker:
                     reasons.append(error.turned_round(float(path.s[-1])) if isinstance(error, CannotGrind) and turned else error)
                     if not led and not isinstance(error, TouchesElsewhere):
                         break
+            if isinstance(reasons[-1], PassesNear):
+                break
             line = None
         # What takes the least of the line away.
         raise min(reasons, key=lambda e: e.nodes(path.s).sum() if isinstance(e, CannotGrind) and len(e.at) else len(path.s))
@@ -219,7 +227,7 @@ class PassWorker:
                     starts = driven(one.path, ranked, seeds[0].direction)
                 found.append(self.solve(one.path, starts, one.compliance, looked if one is stretch else None))
             except Infeasible as error:
-                if whole:
+                if whole and not isinstance(error, PassesNear):  # lines end there anyway
                     raise
                 pieces, gone = cut_out(one, error)
                 lost += gone
@@ -272,6 +280,7 @@ class PassWorker:
             problem = replace(blocked or problem, indentation_correction=better, approach=turned.approach)
             start = solution
         refuse_unsound(self.ground.cell, self.scene, self.ground.cloud, problem.path, solution, solved)
+        refuse_near(self.ground.cell, self.ground.beside, problem.path, solved)
         return SolvedPass(problem, replace(solution, multipliers=None), solved)
 
     def _with_clearances(self, problem: PassProblem, q: Array) -> PassProblem | None:
@@ -303,8 +312,7 @@ def refuse_unsound(
             f"the contact, {beside.depth * 1e3:.2f} mm deeper than planned (at most {SECONDARY_CONTACT_TOLERANCE * 1e3:.2f})"
         )
         where = beside.depths > SECONDARY_CONTACT_TOLERANCE
-        error = CannotGrind.of(path, where, reason, f"use {_other_wheel(cell, beside)}, or larger margins", beside.index)
-        raise TouchesElsewhere(str(error), **vars(error))
+        raise TouchesElsewhere.of(path, where, reason, f"use {_other_wheel(cell, beside)}, or larger margins", beside.index)
     if cell.flange is not None:
         # Parts are along the normal, of which the flange's axis has a share (docs/model.md, eq. 3).
         share, limit = cell.flange_shares(path.n), 0.5 * cell.flange.stroke - STROKE_RESERVE
@@ -314,6 +322,17 @@ def refuse_unsound(
             stroke = solved.parts[k, 0] / share[k]
             reason = f"the force flange would stand {stroke * 1e3:.2f} mm from its middle, {limit * 1e3:.2f} mm are usable"
             raise CannotGrind.of(path, beyond > 0, reason, "set force_N nearer to the flange's setpoint", k)
+
+
+def refuse_near(cell: Cell, beside: Array, path: BladePath, solved: Evaluation) -> None:
+    """Raises PassesNear where the wheel, as it stands turned and tilted, passes points `beside` (k, 3) m, blade frame, of
+    block, platform, fillet or shroud nearer than lines keep away from them (GAP)."""
+    poses = solved.T_base_blade.copy()
+    # Flange, blade and arm give way: what of the overlap is not the wheel's stands between blade and wheel.
+    poses[:, :3, 3] += (solved.delta - solved.parts[:, 1])[:, None] * cell.wheel.outward(solved.arc)
+    room = wheel_room(cell.wheel, beside, poses)
+    if room.min() < GAP:
+        raise PassesNear.of(path, room < GAP, *NO_ROOM, int(np.argmin(room)))
 
 
 def refuse_ends(cell: Cell, scene: CollisionScene, one: SolvedPass) -> None:

@@ -1,7 +1,7 @@
 """Pieces of lines: where a line cannot be ground it is cut there, the rest is planned, and what is left out has a name."""
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,17 +40,15 @@ class CannotGrind(Infeasible):
         self.would_do: str = told.get("would_do", "")
         self.others: list[CannotGrind] = told.get("others", [])
 
-    @staticmethod
-    def of(
-        path: BladePath, where: Mask, reason: str, would_do: str, worst: int | None = None, message: str = ""
-    ) -> "CannotGrind":
+    @classmethod
+    def of(cls, path: BladePath, where: Mask, reason: str, would_do: str, worst: int | None = None, message: str = "") -> Self:
         """At the nodes `where` (n,) of `path` (n nodes, in its direction of travel), `worst` of them named; none of them: the
         place is not known. `message`: the whole sentence, where it says more than reason and remedy."""
         k = int(np.argmax(where)) if worst is None else worst
         named = f", waypoint {k + 1}" if where.any() else ""  # of the path in its direction of travel
         message = message or f"line {path.line} ({path.side}){named}: {reason}; {would_do}"
         told = {"reason": reason, "would_do": would_do, "waypoint": k, "at": path.s[where]}
-        return CannotGrind(message, line=path.line, side=path.side, start=path.start, **told)
+        return cls(message, line=path.line, side=path.side, start=path.start, **told)
 
     def with_others(self, others: "list[CannotGrind]") -> "CannotGrind":
         """The same, and others beside it."""
@@ -61,9 +59,9 @@ class CannotGrind(Infeasible):
         """Line, and where on it the pass begins."""
         return self.line, self.start
 
-    def turned_round(self, length: float) -> "CannotGrind":
+    def turned_round(self, length: float) -> Self:
         """The same of a line of `length` m run from its other end, whatever leads in to it and out of it."""
-        return CannotGrind(str(self), **(self.__dict__ | {"at": length - self.at}))
+        return type(self)(str(self), **(self.__dict__ | {"at": length - self.at}))
 
     def nodes(self, s: Array) -> Mask:
         """Which of the waypoints at arc lengths s (n,) m of the path these are; those beyond its ends count for the ends."""
