@@ -1,5 +1,6 @@
 """Names that data cannot tell apart, on columns of numbers: nested forms, and a background that looks like one of them."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -7,7 +8,7 @@ import numpy as np
 from ocp.diagnose.engine.beam import Weighed
 from ocp.diagnose.engine.evidence import coefficients_given
 from ocp.diagnose.engine.findings import Name
-from ocp.diagnose.engine.pool import Family, Member, make_pool
+from ocp.diagnose.engine.pool import Family, Member, make_pool, most_telling
 from ocp.diagnose.verdict.probabilities import merged, twins
 from ocp.effects.catalogue import library
 
@@ -49,6 +50,19 @@ def test_a_form_and_what_it_holds_are_one_class_until_the_difference_shows():
 
 def test_a_small_background_does_not_take_the_place_of_an_effect():
     assert classes_of(0.35, play=0.08) == [BACKLASH]
+
+
+def test_variants_are_chosen_for_the_place_of_what_is_held():
+    """Two families step at the same instants; a drift and a step of the first are held. Over nothing steps stand for the drift,
+    beside both what is left is a small later step, in the step's place the other family needs just its instant."""
+    steps = 1.0 * (np.arange(N)[:, None] >= np.linspace(10, N - 10, 60))
+    columns = LONG * steps[:, :, None] / np.sqrt(N)
+    scans = tuple({"at_s": float(k)} for k in range(60))
+    one, other = (replace(family(name, SIGN[:, None]), scans=scans, columns=columns) for name in ("backlash", "other"))
+    drift = np.linspace(-1.7, 1.7, N)[:, None]
+    y = np.random.default_rng(1).normal(size=N) + 3.0 * LONG * drift[:, 0] / np.sqrt(N) + columns[:, [4, 40], 0] @ [1.0, 0.3]
+    families = most_telling(make_pool(y, N, [one, other, family("drift", drift)]), (Member(0, 4, 1.0), Member(2, 0, 1.0)))
+    assert 4.0 in [s["at_s"] for s in families[1].scans] and len(families[1].scans) < len(scans)
 
 
 def test_classes_that_share_a_name_are_one():

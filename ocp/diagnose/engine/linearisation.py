@@ -273,9 +273,7 @@ def linearised(channels: Sequence[Channel], library: Mapping[str, Effect], optio
     ripples = next((c.ripples for c in channels if isinstance(c, Geared)), None)
     families = library_families(found, stacked, options, held) + kernel_families(channels, stacked)
     whole = make_pool(stacked.y, stacked.freedom, families, stacked.tails)
-    there = _held(families, [a for c in channels for a in c.active])
-    rests = [there[:i] + there[i + 1 :] for i in range(len(there))] if len(there) > 1 else []  # for what may take a place
-    families = most_telling(whole, [(), *rests, there] if there else [()])
+    families = most_telling(whole, _held(families, [a for c in channels for a in c.active]))
     families += ripple_families(families, ripples) + play(found, stacked)
     return Linearisation(tuple(channels), stacked, make_pool(stacked.y, stacked.freedom, families, stacked.tails))
 

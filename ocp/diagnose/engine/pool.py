@@ -267,13 +267,13 @@ def _flat(columns: Array) -> Array:
     return columns.reshape(len(columns), -1)
 
 
-def most_telling(pool: CandidatePool, beside: Sequence[Sequence[Member]]) -> list[Family]:
-    """The families with their most telling variants alone, over each of the sets `beside`, and with those in these sets: a family
-    of so many fewer columns is weighed so much faster. What the others would add is left out of its mean, what they cost is in
-    its odds."""
-    inside = [m for members in beside for m in members]
-    best = [{m.variant for m in inside if m.family == i} for i in range(len(pool.families))]
-    for members in beside:
+def most_telling(pool: CandidatePool, held: Sequence[Member]) -> list[Family]:
+    """The families with their most telling variants alone, over nothing, over what is held, and over that without each of its
+    members, whose place they may take; and with those held: a family of so many fewer columns is weighed so much faster. What
+    the others would add is left out of its mean, what they cost is in its odds."""
+    best = [{m.variant for m in held if m.family == i} for i in range(len(pool.families))]
+    rests = [[one for one in held if one is not out] for out in held]
+    for members in [rest for rest in rests if rest] + [held] * bool(held) + [()]:
         there = given(pool, members)
         C = np.ascontiguousarray(there.C.T)
         for g in pool.groups:
