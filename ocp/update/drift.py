@@ -56,6 +56,7 @@ WALKS: tuple[Walk, ...] = (
 # Wear at first, m/s: middle (of logarithms) and width of the catalogue's 2e-8 to 1e-6 (wheel_wear).
 FIRST_WEAR, FIRST_WEAR_SD = 1.4e-7, 3e-7
 NEW_BELT = 3e-4  # m, one sigma: belts of one grit differ by some tenths in thickness, and carry on or off the last one's loss
+UNUSUAL = 0.02  # chance below which it is told: one log in fifty by itself
 SURPRISE = 1e-4  # chance below which a log is said not to come from the state that was handed in
 PARTS = {
     "wheel": ("wheel_centre", "wheel_axis"),

@@ -25,6 +25,7 @@ from ocp.shell.progress import Phases, Progress
 from ocp.update.drift import (
     PARTS,
     RADIUS,
+    UNUSUAL,
     WEAR,
     Verdict,
     carried_on,
@@ -249,7 +250,8 @@ def updated(
     grown_history = history.grown((float(clock.max()), ahead, wheel.offset), mark, entry)
     coming = replace(coming, provenance=coming.provenance | {"update": grown_history.table()})
     moments, states = (now, ahead), (before, expected, found, coming)
-    return Updated(cell, fit.log, fit, verdict, parts, moments, states, grown_history, preston, told, wheel.notices)
+    notices = (*wheel.notices, *_unusual(log, fit, verdict, parts))
+    return Updated(cell, fit.log, fit, verdict, parts, moments, states, grown_history, preston, told, notices)
 
 
 def _state_holds(cell: Cell, log: ForceLog, history: History) -> float | None:
@@ -305,6 +307,19 @@ def _impossible(log: ForceLog, fit: ForceFit, verdict: Verdict, parts: tuple[str
         f"{log.path}: cannot have come from the cell as last known: it reads {f.mean_before:+.2f} N ({f.rms_before:.2f} N "
         f"rms) off what was forecast (chance {verdict.chance:.1g}), {verdict.sentence()}; if something was changed say so "
         f"(--changed, of {', '.join(left) or 'nothing more'}), else calibrate anew with a force ladder"
+    )
+
+
+def _unusual(log: ForceLog, fit: ForceFit, verdict: Verdict, parts: tuple[str, ...]) -> tuple[str, ...]:
+    """A sentence where a log that is used is hardly of the state that was handed in: a wheel that was moved a little looks like
+    one that wore or grew."""
+    if verdict.chance >= UNUSUAL:
+        return ()
+    left = [part for part in PARTS if part not in parts]
+    return (
+        f"{log.path.name}: is unlike what was forecast ({fit.figures.mean_before:+.2f} N off, chance {verdict.chance:.1g}), and "
+        f"{verdict.sentence()}: without --changed this counts as wear and drift; if something was changed update again, from "
+        f"the same cell, and say so (--changed, of {', '.join(left) or 'nothing more'})",
     )
 
 

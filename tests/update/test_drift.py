@@ -91,6 +91,21 @@ def test_a_jump_is_said_and_taken_only_where_the_user_says_so(world, worn, name,
     assert told.latest["found_N"] == pytest.approx(told.latest["measured_N"], abs=0.1)
 
 
+def test_a_small_jump_that_is_taken_for_wear_is_told(world, worn):
+    """A wheel moved so little that the log is used."""
+    truth, last = worn[-1]
+    cell, found = replace(world.cell, calibration=last.states[3]), {}
+    for size in (0.0, 1.1e-4):
+        x = truth.copy()
+        x[RADIUS] += size - WEAR * BETWEEN
+        log = world.ground(x, 6 * BETWEEN, WEAR, np.random.default_rng(5))
+        found[size] = updated(cell, log, world.setup, history_of(cell.calibration, cell.path), "jump")
+    assert not found[0.0].notices
+    (told,) = found[1.1e-4].notices
+    assert SURPRISE < found[1.1e-4].verdict.chance < 0.02
+    assert "is unlike what was forecast" in told and "--changed, of wheel, blade, flange, belt, sensor" in told
+
+
 def test_chances_of_logs_of_the_cell_itself_are_spread_evenly(world):
     """Truth drawn from the state that is handed in: the verdict must not cry wolf, nor sleep."""
     rng, chances = np.random.default_rng(2), []
