@@ -348,10 +348,25 @@ def test_recordings_are_known_again_by_how_they_begin(tmp_path):
     table = [row | {"run": run, "fn_N": 20.0 + k} for run in "abcdefghijkl" for k, row in enumerate(rows(30))]
     table = [row | {"fn_N": row["fn_N"] + 0.1 * ord(row["run"])} for row in table]
     mark = log_mark(read(tmp_path, table))
-    assert len(mark.split()) == 8
+    assert len(mark.split()) == 11
     shorter = [row for k, row in enumerate(table) if k % 30 < 25]
     assert is_known(log_mark(read(tmp_path, shorter)), [mark]) and is_known(log_mark(read(tmp_path, table[240:])), ["", mark])
     for same in "abcdefghijkl":  # one recording may be the same by chance
-        other = [row | {"fn_N": row["fn_N"] + 1e-3 * (row["run"] != same)} for row in table]
+        other = [row | {"fn_N": row["fn_N"] + 1e-2 * (row["run"] != same)} for row in table]
         assert not is_known(log_mark(read(tmp_path, other)), [mark])
-    assert not is_known(log_mark(read(tmp_path, [row | {"fn_N": row["fn_N"] + 1e-3} for row in table])), [mark])
+    assert not is_known(log_mark(read(tmp_path, [row | {"fn_N": row["fn_N"] + 1e-2} for row in table])), [mark])
+
+
+@pytest.mark.parametrize("runs", ["a", "abcde"])
+def test_recordings_are_known_again_in_a_copy_with_rounded_numbers(tmp_path, runs):
+    rng = np.random.default_rng(1)
+
+    def noisy():
+        return [row | {"run": run, "fn_N": 20.0 + rng.normal(0.0, 0.1)} for run in runs for row in rows(40)]
+
+    table = noisy()
+    mark = log_mark(read(tmp_path, table))
+    for digits in (2, 3):
+        rounded = [row | {k: round(x, digits) for k, x in row.items() if isinstance(x, float)} for row in table]
+        assert is_known(log_mark(read(tmp_path, rounded)), ["", mark])
+    assert not is_known(log_mark(read(tmp_path, noisy())), [mark])

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.fft import dct
 
 from ocp.model.cell import Cell
 from robots.column_mapping import SEALED, ColumnMapping
@@ -58,6 +59,8 @@ COARSE = 2.0  # s a recording that are not known better
 UNCOUNTED = 10.0  # times as long as its clock says: a wheel may stand meanwhile
 WORDS = 8  # of a log that are remembered
 MARKED = 20  # rows of a recording by which it is told again
+WAVED, WAVING, WAVES = "~", 3, 6  # sign of the words that tell the waves of a recording, recordings and waves that are told
+ROUNDED = 1.5e-3  # N; numbers rounded to 0.01 N move a wave by less, noise of 0.1 N moves each of them by ten times that
 COPIED = 5  # rows from which a recording that is another's to the last digit is its copy
 STEADY = 0.75  # of a run's usual largest feed, up to which wheel and blade meet
 SETTLING = 0.08  # s after that: three time constants and the delay of a flange of 10 Hz and 10 ms
@@ -184,18 +187,44 @@ def refuse_few_rows(log: ForceLog) -> None:
 
 def log_mark(log: ForceLog) -> str:
     """Words that tell recordings of a log again: of postures, points and forces where each comes into contact, whatever line
-    endings, the order of columns, or rows taken off at the end; the least ones, which a part of the log mostly has too."""
+    endings, the order of columns, or rows taken off at the end; the least ones, which a part of the log mostly has too. And of
+    the first recordings the slow waves of the force, which a copy with rounded numbers has as well."""
     told = np.column_stack([log.q, log.p, log.fn])
     rows = [np.flatnonzero((log.run == i) & log.contact) for i in np.unique(log.run)]
     long = [at[:MARKED] for at in rows if len(at) >= MARKED] or [np.flatnonzero(log.contact)]
     words = [hashlib.sha256(np.ascontiguousarray(told[at]).tobytes()).hexdigest()[:12] for at in long]
-    return " ".join(sorted(words)[:WORDS])
+    return " ".join([*sorted(words)[:WORDS], *(_waves(log.fn[at]) for at in rows if len(at) >= MARKED)][: WORDS + WAVING])
+
+
+def _waves(fn: Array) -> str:
+    """A word of the forces (n,) of a recording: their number and the first cosine waves in them, N."""
+    found = dct(fn, norm="ortho")[:WAVES] / np.sqrt(len(fn))
+    return f"{WAVED}{len(fn)}:" + ",".join(f"{x:.4f}" for x in found)
+
+
+def _alike(one: str, other: str) -> bool:
+    """Whether two words of `_waves` are of one recording, but for rounding."""
+    (n, mine), (m, theirs) = (word.removeprefix(WAVED).split(":") for word in (one, other))
+    if n != m:
+        return False
+    return all(abs(float(a) - float(b)) < ROUNDED for a, b in zip(mine.split(","), theirs.split(","), strict=True))
 
 
 def is_known(mark: str, marks: Iterable[str]) -> bool:
     """Whether recordings of a log are in one of these marks: two, or the only one."""
-    mine = {*mark.split()}
-    return any(len(mine & {*one.split()}) >= min(2, len(mine), len(one.split())) for one in marks if one)
+
+    def parted(one: str) -> tuple[set[str], list[str]]:
+        words = one.split()
+        return {word for word in words if word[0] != WAVED}, [word for word in words if word[0] == WAVED]
+
+    mine, waves = parted(mark)
+    for words, others in (parted(one) for one in marks if one):
+        if len(mine & words) >= min(2, len(mine), len(words)):
+            return True
+        again = sum(any(_alike(wave, other) for other in others) for wave in waves)
+        if waves and others and again >= min(2, len(waves), len(others)):
+            return True
+    return False
 
 
 def steady_rows(log: ForceLog, flange: bool) -> Flags:
