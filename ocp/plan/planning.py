@@ -43,6 +43,7 @@ from trajectories.blade import Blade
 from trajectories.passes import BladePath, reversed_path
 from trajectories.program.program import KINDS, refuse_poses
 
+FULL = 0.99  # of the force asked for, from which a line is said to reach it
 FORCE_SD_WEIGHT = 1.0  # of the objective where a calibration tells how sure the force is and posture changes it
 
 
@@ -182,7 +183,7 @@ def planned_motion(job: Job, solved: GroundLines) -> Plan:
     accuracy = cache(lambda: working_accuracy(job.believed, cell, job.ground.theta, contact.law, motion.passes))
     with job.phases.phase("removal"):
         removal = find_removal(cell, motion, contact.cover, laid.cloud, laid.flanks, laid.wanted, accuracy)
-    told = [*removal.beside_told(), *patch_notices(cell, motion.passes)]
+    told = [*removal.beside_told(), *patch_notices(cell, motion.passes), *softer_notices([p.grinding() for p in motion.passes])]
     if job.options.fitted:
         told.insert(0, feeds_told(cell, [p.grinding().problem.path for p in motion.passes], laid.wanted, job.options.laid))
 
@@ -207,6 +208,23 @@ def planned_motion(job: Job, solved: GroundLines) -> Plan:
         evaluated_by=solved.by,
         again=partial(planned_motion, job),
     )
+
+
+def softer_notices(passes: Sequence[SolvedPass]) -> list[str]:
+    """A sentence on the lines that are too short, at their feed, for the force to rise to what is asked for."""
+    softer = sorted((one.problem.way.peak, i) for i, one in enumerate(passes) if one.problem.way.peak < FULL)
+    if not softer:
+        return []
+    peak, worst = softer[0]
+    path = passes[worst].problem.path
+    feed, force, length = 1e3 * float(path.feed.mean()), float(path.force.max()), 1e3 * float(np.ptp(path.s))
+    others = ", ".join(str(passes[i].problem.path.line) for _, i in softer[1:])
+    less = f" (less so lines {others})" if others else ""
+    return [
+        f"line {path.line} ({path.side}), {length:.1f} mm, is too short at {feed:.3g} mm/s for the force to rise and fall: it "
+        f"reaches {peak * force:.1f} of {force:g} N, at as much less of its feed{less}; "
+        f"for the whole force ask for at most {peak * feed:.3g} mm/s there, or make the line longer"
+    ]
 
 
 def patch_notices(cell: Cell, passes: Sequence[SolvedPass]) -> list[str]:

@@ -31,7 +31,7 @@ from ocp.plan.passes.stretches import (
     ungrindable_notices,
     whole_lines,
 )
-from ocp.plan.planning import left_out_too
+from ocp.plan.planning import left_out_too, softer_notices
 from ocp.plan.readback import force_error
 from ocp.plan.rules import FLANGE_FORCE_TOLERANCE, LEAST_STRETCH, SEED_INDENTATION, STRETCH_ROOM
 from ocp.plan.second_route import VerifiedPass
@@ -390,7 +390,7 @@ def test_all_passes_that_do_not_read_back_are_named_at_once():
     for number, off in ((1, 0.0), (2, 0.3), (3, -0.3)):
         path = replace(bar_pass(), line=number)
         seen = VerifiedPass(
-            path.s / path.feed, path.s, path.force + np.where(np.arange(N) > 30, off, 0.0), 0 * path.s, path.force
+            path.s / path.feed, path.s, path.force + np.where(np.arange(N) > 30, off, 0.0), 0 * path.s, path.force, 0 * path.s
         )
         try:
             force_error(cell, path, seen)
@@ -398,3 +398,15 @@ def test_all_passes_that_do_not_read_back_are_named_at_once():
             worst.append(one)
     assert [one.whose for one in worst] == [(2, 0.0), (3, 0.0)]
     assert worst[0].nodes(bar_pass().s).sum() == 9 and "0.30 N off (at most 0.2); nothing is written" in str(worst[0])
+
+
+def test_a_line_too_short_for_its_force_is_told_with_what_it_reaches():
+    def solved(number, length, peak):
+        return SimpleNamespace(problem=SimpleNamespace(path=line(length, number), way=SimpleNamespace(peak=peak)))
+
+    lines = [solved(1, 0.078, 1.0), solved(2, 0.030, 0.9), solved(3, 0.007, 0.4)]
+    (told,) = softer_notices(lines)
+    feed = 1e3 * line().feed[0]
+    assert told.startswith(f"line 3 (convex), 7.0 mm, is too short at {feed:.3g} mm/s for the force to rise and fall")
+    assert "reaches 8.0 of 20 N" in told and "(less so lines 2)" in told and f"at most {0.4 * feed:.3g} mm/s" in told
+    assert softer_notices(lines[:1]) == []
