@@ -12,9 +12,17 @@ from ocp.contact.wheel.cover import Cover
 from ocp.model.blade_gap import SurfaceCloud
 from ocp.model.cell import Cell
 from ocp.plan.motion import MotionSegment, PlannedMotion
-from ocp.plan.passes.optimise import LEAST_DIRECT, SolvedPass, force_tolerance
+from ocp.plan.passes.optimise import LEAST_DIRECT, LEAVING, RAMP_SHARE, SolvedPass, force_tolerance
 from ocp.plan.passes.stretches import CannotGrind
-from ocp.plan.rules import BLOCK_TIME_TOLERANCE, EMITTED_TOLERANCE, GAP_TOLERANCE, LEAST_STRETCH, READ_BACK_LIMIT, STRAY
+from ocp.plan.rules import (
+    BLOCK_TIME_TOLERANCE,
+    EMITTED_TOLERANCE,
+    GAP_TOLERANCE,
+    LEAST_STRETCH,
+    READ_BACK_LIMIT,
+    RIGID_FORCE_TOLERANCE,
+    STRAY,
+)
 from ocp.plan.second_route import BelievedRobot, VerifiedPass, gaps, verify_pass
 from ocp.shell.processes import side_by_side
 from robots.errors import Infeasible
@@ -141,20 +149,27 @@ def _touching_in_air(cell: Cell, believed: BelievedRobot, one: SolvedPass, t: Ar
 def force_error(cell: Cell, path: BladePath, seen: VerifiedPass) -> float:
     """Largest difference N along a pass between the force read back and the one asked for.
 
-    Raises CannotGrind where it is more than a program may be off by.
+    Raises CannotGrind where it is more than a program may be off by; on a ramp as without a flange until that leaves its stop,
+    which is as stiff.
     """
-    tolerance = force_tolerance(cell)
+    full = np.interp(seen.s, path.s, path.force)
+    stiff = (seen.stopped > 0) & (seen.planned < np.minimum(seen.stopped + LEAVING, RAMP_SHARE * full))
+    tolerance = np.where(stiff, RIGID_FORCE_TOLERANCE, force_tolerance(cell))
     off = np.abs(seen.force - seen.planned)
-    k = int(np.argmax(off))
-    if off[k] > tolerance:
+    k = int(np.argmax(off / tolerance))
+    if off[k] > tolerance[k]:
         reason = (
             f"the force read back from the program is {seen.force[k]:.2f} N by the independent route, {off[k]:.2f} N off "
-            f"(at most {tolerance:g})"
+            f"(at most {tolerance[k]:g})"
         )
+        would_do = "use a shorter --step or a narrower wheel"
+        if stiff[k]:
+            reason += f", where the flange bears on its stop, up to {seen.stopped[k]:.1f} N"
+            would_do = "lower force_flange.setpoint_N until its stroke and stiffness carry it"
         message = f"line {path.line} ({path.side}), {seen.s[k] * 1e3:.1f} mm along it: {reason}; nothing is written"
-        where = np.interp(path.s, seen.s, off) > tolerance
-        raise CannotGrind.of(path, where, reason, "use a shorter --step or a narrower wheel", message=message)
-    return float(off[k])
+        where = np.interp(path.s, seen.s, off / tolerance) > 1.0
+        raise CannotGrind.of(path, where, reason, would_do, message=message)
+    return float(off.max())
 
 
 Driven = list[tuple[Array, Array, Array]]  # times s, joints, nominal times s of every pass

@@ -59,13 +59,15 @@ def believed_robot(cell: Cell, mdh: Array, compliance: Array, payload_mass: floa
 
 @dataclass(frozen=True)
 class VerifiedPass:
-    """Force (m,) N along a pass at times (m,) s, arc length s (m,) m, and the one that was planned; interference (m,) m."""
+    """Force (m,) N along a pass at times (m,) s, arc length s (m,) m, and the one that was planned; interference (m,) m; force
+    up to which the flange stands at its outer stop, where nothing of it yields, zero without one."""
 
     time: Array
     s: Array
     force: Array
     delta: Array
     planned: Array
+    stopped: Array
 
 
 def verify_pass(
@@ -128,7 +130,8 @@ def verify_pass(
     # Where the chain's tangent meets no force varies smoothly, whatever the force; the overlap is judged at every millisecond.
     overlap, rise = PchipInterpolator(s[at], np.column_stack([needed, slope]))(s).T
     force = (delta - overlap) / rise
-    return VerifiedPass(time, s, np.maximum(force, 0.0), delta, planned)
+    stopped = np.interp(s, s[at], [_stopped(cell, T[k], n_base[k]) for k in at])
+    return VerifiedPass(time, s, np.maximum(force, 0.0), delta, planned, stopped)
 
 
 def gaps(
@@ -335,6 +338,12 @@ def _linear_compliance(
     held = np.einsum("ij,ji->i", blade, np.array(along))
     give = np.einsum("ij,ijk->ik", e, J) * np.einsum("ijk,ij->ik", J, f)
     return np.column_stack([held + 1.0 / cell.workpiece.clamp_stiffness, give @ believed.compliance, give])
+
+
+def _stopped(cell: Cell, T_base_blade: Array, n: Array) -> float:
+    """Normal force N up to which the flange stands at its outer stop, zero where it stands free before or is none."""
+    share, (preload, give, half) = _flange(cell, T_base_blade, n)
+    return max(preload - half / give, 0.0) / share if give > 0.0 else 0.0
 
 
 def _flange(cell: Cell, T_base_blade: Array, n: Array) -> tuple[float, tuple[float, float, float]]:

@@ -44,6 +44,7 @@ from ocp.plan.passes.stretches import CannotGrind, LeftOut, LineStretch, cut_out
 from ocp.plan.passes.transcription import N_DYNAMIC
 from ocp.plan.paths import PlanOptions, refuse_flange
 from ocp.plan.planning import make_plan
+from ocp.plan.programming import force_allowed
 from ocp.plan.readback import BlendError, _timed, force_error
 from ocp.plan.removal.dwell import beyond_reach
 from ocp.plan.removal.wanted import Wanted
@@ -530,12 +531,47 @@ def test_a_force_that_is_off_is_refused(cell, flange):
 
     def read(off):
         force = path.force + np.where(np.arange(40) == 11, off, 0.0)
-        return force_error(one, path, VerifiedPass(path.s / path.feed, path.s, force, 0.0 * path.s, path.force))
+        return force_error(one, path, VerifiedPass(path.s / path.feed, path.s, force, 0.0 * path.s, path.force, 0.0 * path.s))
 
     for sign in (-1.0, 1.0):
         assert read(sign * (tolerance - 1e-9)) == pytest.approx(tolerance)
         with pytest.raises(Infeasible, match=rf"the force read back .* \(at most {tolerance:g}\); nothing is written"):
             read(sign * (tolerance + 1e-9))
+
+
+def test_on_its_stop_a_flange_is_as_stiff_as_none_until_the_force_has_risen(cell):
+    """Preload 12 N: on a ramp below it 0.9 N off pass, 2.1 N are refused with what would do; nothing of it on the line."""
+    path = bar_pass()
+    full = float(path.force[0])
+    planned = np.minimum(np.linspace(0.2, 1.2, 40), 1.0) * full
+
+    def read(row, off, preload=0.6):
+        seen = VerifiedPass(
+            path.s / path.feed,
+            path.s,
+            planned + np.where(np.arange(40) == row, off, 0.0),
+            0.0 * path.s,
+            planned,
+            preload * full * np.ones(40),
+        )
+        return force_error(cell, path, seen)
+
+    assert read(11, 0.9) == pytest.approx(0.9)
+    for row, off, preload in ((11, 2.1, 0.6), (11, 0.9, 0.0), (24, 0.3, 0.6), (38, 0.3, 0.99)):
+        with pytest.raises(Infeasible, match="the force read back") as refused:
+            read(row, off, preload)
+        assert ("bears on its stop, up to 12.0 N" in str(refused.value)) == (off > 2.0)
+
+
+def test_points_are_emitted_as_for_a_rigid_mount_where_the_flange_leaves_its_stop(cell):
+    """Up to 12 N at its stop: on the ramp up to 13 N; not where it gives, nor under the full force."""
+    force = np.array([4.0, 11.0, 12.0, 12.9, 13.1, 19.0, 20.0])
+    stiffness = np.where(force < 12.5, 6e4, 5.2e3)
+    soft, hard = rules.FLANGE_FORCE_TOLERANCE, rules.RIGID_FORCE_TOLERANCE
+    full = np.full(7, 20.0)
+    assert force_allowed(cell, stiffness, force, full).tolist() == [hard] * 4 + [soft] * 3
+    assert force_allowed(cell, np.full(7, 5.2e3), force, full).tolist() == [soft] * 7
+    assert force_allowed(cell, np.full(7, 6e4), force, force).tolist() == [soft] * 7
 
 
 @pytest.fixture(scope="module")

@@ -288,7 +288,7 @@ def verified(driven, place):
     one, (t, _, nominal) = motion().passes[place], driven[place]
     on = (nominal > one.problem.way.edges[1] + 0.02) & (nominal < one.problem.way.edges[4] - 0.02)
     planned = one.at(nominal[on])
-    return VerifiedPass(t[on], planned["s"], planned["force"], planned["interference"], planned["force"])
+    return VerifiedPass(t[on], planned["s"], planned["force"], planned["interference"], planned["force"], 0.0 * t[on])
 
 
 def test_lines_that_blend_are_on_the_plan_and_their_depth_is_measured(tmp_path):
