@@ -217,11 +217,11 @@ def softer_notices(passes: Sequence[SolvedPass]) -> list[str]:
         return []
     peak, worst = softer[0]
     path = passes[worst].problem.path
-    feed, force, length = 1e3 * float(path.feed.mean()), float(path.force.max()), 1e3 * float(np.ptp(path.s))
+    feed, force = 1e3 * float(path.feed.mean()), float(path.force.max())
     others = ", ".join(str(passes[i].problem.path.line) for _, i in softer[1:])
     less = f" (less so lines {others})" if others else ""
     return [
-        f"line {path.line} ({path.side}), {length:.1f} mm, is too short at {feed:.3g} mm/s for the force to rise and fall: it "
+        f"line {path.line} ({path.side}) is too short at {feed:.3g} mm/s for the force to rise and fall: it "
         f"reaches {peak * force:.1f} of {force:g} N, at as much less of its feed{less}; "
         f"for the whole force ask for at most {peak * feed:.3g} mm/s there, or make the line longer"
     ]
