@@ -14,7 +14,7 @@ from ocp.model.prepare import wheel_cover
 from ocp.plan.clearance import CollisionScene
 from ocp.plan.files import _verified
 from ocp.plan.passes.course import lengthened
-from ocp.plan.passes.optimise import GroundLines, PassWorker, refuse_ends, refuse_uneven_leads
+from ocp.plan.passes.optimise import GroundLines, PassWorker, refuse_ends, refuse_uneven_leads, rises_between
 from ocp.plan.passes.posture import contact_poses, impossible, seeds_of_stretches
 from ocp.plan.passes.stretches import (
     HALVINGS,
@@ -410,3 +410,13 @@ def test_a_line_too_short_for_its_force_is_told_with_what_it_reaches():
     assert told.startswith(f"line 3 (convex) is too short at {feed:.3g} mm/s for the force to rise and fall")
     assert "reaches 8.0 of 20 N" in told and "(less so lines 2)" in told and f"at most {0.4 * feed:.3g} mm/s" in told
     assert softer_notices(lines[:1]) == []
+
+
+def test_a_rise_is_solved_closer_where_the_table_misses_unevenly():
+    """At the nodes where the force passes another newton, between rough neighbours alone, none twice."""
+    force = np.concatenate([np.linspace(4.3, 19.8, 32), np.full(8, 20.0)])
+    index, rough = np.array([0, 10, 20, 39]), np.array([True, False, True])
+    between = rises_between(force, index, rough)
+    assert set(between) <= {*range(1, 10), *range(21, 39)} and len({*between}) == len(between)
+    assert {int(force[k + 1]) for k in between} == {*range(5, 10), *range(15, 21)}
+    assert len(rises_between(force, index, ~rough[[0, 0, 0]])) == 0

@@ -55,6 +55,8 @@ WORTH_COMPILING = 1000  # waypoints: solving them by machine code saves what com
 SIGN_TOLERANCE = 0.1  # of an axis' sign of motion between the program and its solution
 CLEARANCE_BAND = 0.010  # m; waypoints closer than this to a margin get a clearance row
 THINNING = 4  # one point in four, 1.6 mm apart: a wheel is 0.03 mm flatter over that, below the tolerance
+ROUGH = 0.5  # of the force a program may be off by: by so much more or less the table misses at the next node
+STATION_FORCE = 1.0  # N between waypoints solved directly on a ramp, where the table misses much
 STATION_SPACING = 3e-3  # m between waypoints solved directly
 LOOKED_AT = 6e-3  # m between contacts on which feeds and removal are planned
 FALLBACKS = 4  # seeds tried before a pass is refused
@@ -91,25 +93,48 @@ class Ground:
     beside: Array
 
 
+def rises_between(force: Array, index: NDArray[np.int64], rough: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """The nodes at which the force (n,) N has changed by another STATION_FORCE, between those neighbours of `index` (k,) that are
+    `rough` (k - 1,)."""
+    steps = np.flatnonzero(np.diff(np.floor(force / STATION_FORCE)))
+    place = np.searchsorted(index, steps, side="right") - 1
+    inside = (place >= 0) & (place < len(rough)) & ~np.isin(steps, index)
+    return np.asarray(steps[inside][rough[place[inside]]])
+
+
 def solve_directly(ground: Ground, problem: PassProblem, force: Array, solved: Evaluation) -> Array:
     """The indentation correction (n,) m that makes the model's wheel indentation that of the contact solved directly, under the
     `force` (n,) N on the blade's real surface, at the postures of `solved`.
 
     The indentation varies smoothly along a pass, other than the local curvature that the table goes by: it is solved at some
-    nodes; where the force is small the correction goes with it. Raises Infeasible of the contact solver, with the node.
+    nodes; where the force is small the correction goes with it. On a ramp the force rises within a few millimetres: where what
+    the table misses changes much between two nodes, it is solved at every STATION_FORCE between them too. Raises Infeasible of
+    the contact solver, with the node.
     """
     path = problem.path
     bearing = np.flatnonzero(force >= LEAST_DIRECT * path.force)
     index = bearing[contact_stations(path.s[bearing], STATION_SPACING)]
-    contact, indentation = None, []
-    for k in index:
-        try:
-            contact = solve_force(ground.cover, float(force[k]), shape_under(ground.cell, ground.cloud, path, solved, k), contact)
-        except Infeasible as error:
-            here = np.abs(path.s - path.s[k]) <= 0.5 * STATION_SPACING
-            raise CannotGrind.of(path, here, str(error), "use a narrower wheel or larger margins", int(k)) from None
-        indentation.append(contact.indentation)
-    more = PchipInterpolator(path.s[index], np.array(indentation) - solved.parts[index, 1])
+
+    def missed(index: NDArray[np.int64]) -> Array:
+        contact, indentation = None, []
+        for k in index:
+            shape = shape_under(ground.cell, ground.cloud, path, solved, k)
+            try:
+                contact = solve_force(ground.cover, float(force[k]), shape, contact)
+            except Infeasible as error:
+                here = np.abs(path.s - path.s[k]) <= 0.5 * STATION_SPACING
+                raise CannotGrind.of(path, here, str(error), "use a narrower wheel or larger margins", int(k)) from None
+            indentation.append(contact.indentation)
+        return np.array(indentation) - solved.parts[index, 1]
+
+    more_there = missed(index)
+    rough = np.abs(np.diff(more_there)) * solved.stiffness[index[1:]] > ROUGH * force_tolerance(ground.cell)
+    between = rises_between(force, index, rough)
+    if len(between):
+        both = np.concatenate([index, between])
+        order = np.argsort(both)
+        index, more_there = both[order], np.concatenate([more_there, missed(between)])[order]
+    more = PchipInterpolator(path.s[index], more_there)
     inside = np.clip(np.arange(len(force)), index[0], index[-1])
     better = problem.indentation_correction + more(path.s)
     return np.asarray(better[inside] * np.where(inside == np.arange(len(force)), 1.0, force / force[inside]))
