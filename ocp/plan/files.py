@@ -127,7 +127,8 @@ def _write_programs(plan: Plan, folder: Path, phases: Phases) -> _Written:
 def grades_of(plan: Plan, readback: Readback) -> Grades:
     """The two grades of a written plan."""
     goal, asked = _asked(plan)
-    force = grade_force(plan.cell, goal, plan.force_sd, readback.force_error, readback.blends)
+    stopped = max(float(one.stopped.max()) for one in readback.passes)
+    force = grade_force(plan.cell, goal, plan.force_sd, readback.force_error, readback.blends, stopped)
     return Grades(grade_move(readback), force, asked)
 
 

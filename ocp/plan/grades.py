@@ -74,9 +74,13 @@ def grade_move(readback: Readback) -> Grade:
     )
 
 
-def grade_force(cell: Cell, asked: float, sd: float, off: float, blends: BlendError | None = None) -> Grade:
+def grade_force(
+    cell: Cell, asked: float, sd: float, off: float, blends: BlendError | None = None, stopped: float = np.inf
+) -> Grade:
     """How far the force on the real cell may be from `asked` N: its standard deviation N, and by how much the program read
-    back is off by the independent route, N; `blends`: of a program of straight motions, what blending them costs."""
+    back is off by the independent route, N; `blends`: of a program of straight motions, what blending them costs; `stopped`: the
+    force N up to which the flange stands at its stop at the postures of the passes, where a weight that is not compensated hangs
+    as it does there."""
     doubts = []
     most = force_tolerance(cell)
     if blends is not None and (blends.force > most or blends.dose > FORCE_SHARE):
@@ -91,7 +95,7 @@ def grade_force(cell: Cell, asked: float, sd: float, off: float, blends: BlendEr
         doubts.append(_to_measure(cell))
     if off > FORCE_SHARE * asked:
         doubts.append("the two routes differ, look at the force section for where")
-    preload = 0.0 if cell.flange is None else stop_preload(cell.flange)
+    preload = 0.0 if cell.flange is None else min(stop_preload(cell.flange), stopped)
     if preload > STOP_PRELOAD:
         doubts.append(
             f"the flange bears on its stop until {preload:.1f} N, so wheel and blade meet as hard as without it and up to that "

@@ -714,6 +714,10 @@ def test_a_flange_that_bears_on_its_stop_is_amber(cell):
     # Weight that is not compensated presses it against the stop: 5 kg are 49 N.
     heavy = replace(cell.flange, setpoint=1.0, carried_mass=5.0, gravity_compensated=False)
     assert stop_preload(heavy) == pytest.approx(1.0 + 5.0 * GRAVITY - free)
+    # Where it hangs across the flange's axis it does not.
+    hung = replace(cell, flange=replace(heavy, setpoint=20.0))
+    assert [grade_force(hung, 20.0, 0.1, 0.02, None, stopped).grade for stopped in (0.0, 12.0)] == ["green", "amber"]
+    assert "until 12.0 N" in grade_force(hung, 20.0, 0.1, 0.02, None, 12.0).why
     # An output that the program does not drive changes nothing.
     output = replace(flange, setpoint_output="ANOUT[1]")
     assert grade_force(replace(cell, flange=output), 20.0, 0.1, 0.02).grade == "amber"
