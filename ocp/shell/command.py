@@ -19,7 +19,7 @@ from rich.console import Console
 from rich.progress import BarColumn, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn
 from rich.progress import Progress as Bars
 
-from ocp.shell.processes import INTERRUPTED, collect_seldom, supervised, was_told, what_stands
+from ocp.shell.processes import INTERRUPTED, collect_seldom, sentence_is_told, supervised, was_told, what_stands
 from ocp.shell.progress import Progress
 from robots.errors import BadInput, Infeasible, shown
 
@@ -264,4 +264,6 @@ def _refuse(sentence: str, code: int) -> int:
     print(_plain(sentence), file=sys.stderr)  # noqa: T201  one sentence, DESIGN "Manners"
     if _telling.as_json:
         print(_as_json(code, _plain(sentence)))  # noqa: T201
+    if code == INTERRUPTED:
+        sentence_is_told()
     return code

@@ -43,7 +43,7 @@ _grows = False
 _lent = threading.RLock()  # the environment and `__main__` while something stands in their place: they are all threads'
 _crew: "ContextVar[_Crew | None]" = ContextVar("crew", default=None)  # the processes of the block that is open in this thread
 _given: dict[Callable[..., None], str] = {}  # in one of them: the file of the state that each start was last given
-_GROWS = b"\1"  # among the folders that a child tells of
+_GROWS, _SAID = b"\1", b"\2"  # among the folders that a child tells of
 
 
 def collect_seldom() -> None:
@@ -91,6 +91,12 @@ def keeps_what_is_done() -> None:
         os.write(_to_parent, _GROWS + b"\0")
 
 
+def sentence_is_told() -> None:
+    """Say that the user has this command's last sentence: if it is killed on its way out, its parent does not tell it again."""
+    if _to_parent is not None:
+        os.write(_to_parent, _SAID + b"\0")
+
+
 def what_stands(grows: bool | None = None) -> str:
     """What an interrupted command leaves, in words for its last sentence; `grows`: as its process told."""
     kept = "what is done is kept, the same command goes on from there"
@@ -124,12 +130,14 @@ def supervised(work: Callable[[], int], told: Callable[[str], None]) -> int:
     code = os.waitstatus_to_exitcode(status)
     if code >= 0:
         return code
-    stands = what_stands(os.fsdecode(_GROWS) in unfinished)
+    grows, said = (os.fsdecode(mark) in unfinished for mark in (_GROWS, _SAID))
+    stands = what_stands(grows)
     for folder in unfinished:
-        if folder != os.fsdecode(_GROWS):
+        if folder not in (os.fsdecode(_GROWS), os.fsdecode(_SAID)):
             shutil.rmtree(folder, ignore_errors=True)
     if asked:
-        told(f"interrupted, {stands}")
+        if not said:
+            told(f"interrupted, {stands}")
         return INTERRUPTED
     told(f"ended by the system (signal {-code}, often want of memory), {stands}; try again, or with a smaller input")
     return 1

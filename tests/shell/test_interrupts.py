@@ -46,6 +46,12 @@ def polite():
     print("busy", flush=True)
     time.sleep(60)
 
+def lingering():
+    # A slow machine: the sentence is told, the way out takes longer than the parent waits.
+    from ocp.shell import processes
+    processes._flush = lambda: time.sleep(60)
+    polite()
+
 def masked():
     try:
         polite()
@@ -138,7 +144,7 @@ def processes(session: int) -> list[int]:
 
 
 WAYS = [
-    *((what, "parent") for what in ("polite", "swallow", "masked", "loaded")),
+    *((what, "parent") for what in ("polite", "swallow", "lingering", "masked", "loaded")),
     *((what, "group") for what in ("deaf", "spawned")),
 ]
 
