@@ -5,6 +5,7 @@ was handed in does not fit and a guess does, the sentence names it.
 """
 
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import replace
 from itertools import combinations
 
@@ -81,18 +82,17 @@ def refuse_mistakes(campaign: Campaign) -> None:
 def refuse_loads(fit: Fit) -> None:
     """Raises BadInput where external loads or payloads, read otherwise, let the calibrated arm meet its readings several times
     nearer: what they bend it by is a millimetre, less than any arm that is not calibrated is off by."""
-    readings, where = fit.campaign.readings, str(fit.campaign.readings.path)
-    plain = None
+    readings, tried = fit.campaign.readings, []
     for rows, text, meant in _other_loads(fit.campaign):
-        off = float(np.median(np.linalg.norm(fit.residual[rows, :3], axis=1)))
-        again = fit_campaign(replace(fit.campaign, readings=meant), fit.choice, fit.priors, begin=fit.start)
-        left = float(np.median(np.linalg.norm(again.residual[rows, :3], axis=1)))
-        if left < LOADS_FIT * off and (plain is None or left < plain[0]):
-            plain = left, off, int(readings.line[rows[0]]), text
-    if plain is not None:
-        left, off, line, text = plain
+        with suppress(np.linalg.LinAlgError):  # so read an unknown may be left open
+            again = fit_campaign(replace(fit.campaign, readings=meant), fit.choice, fit.priors, begin=fit.start)
+            left, off = (float(np.median(np.linalg.norm(one.residual[rows, :3], axis=1))) for one in (again, fit))
+            tried.append((left, off, int(readings.line[rows[0]]), text))
+    told = min((one for one in tried if one[0] < LOADS_FIT * one[1]), default=None)
+    if told is not None:
+        left, off, line, text = told
         raise BadInput(
-            f"{where}, from line {line} on: {text}; so read, the readings under load are met within {left * 1e3:.2g} mm "
+            f"{readings.path}, from line {line} on: {text}; so read, the readings under load are met within {left * 1e3:.2g} mm "
             f"instead of {off * 1e3:.2g} mm (median); correct the file"
         )
 

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from robots.calibration.fit import fit_campaign
 from robots.calibration.mistakes import misfit, refuse_loads, refuse_mistakes
-from robots.calibration.solver import Campaign
+from robots.calibration.solver import Campaign, OpenDirection
 from robots.errors import BadInput
 from robots.pose import ROTATION_ORDERS, rotations_in_order
 from robots.reference_kinematics import elementary_forward
@@ -197,3 +197,13 @@ def test_loads_of_another_unit_or_sign_are_told(name):
     with pytest.raises(BadInput, match=r"tracker.csv, from line \d+ on: .* met within 0.0\d+ mm instead") as error:
         refuse_loads(fit_campaign(change(loaded())))
     assert said in str(error.value)
+
+
+def test_a_reading_of_loads_that_leaves_an_unknown_open_refuses_nothing(monkeypatch):
+    fit = fit_campaign(LOAD_MISTAKES["reaction"][0](loaded()))
+
+    def left_open(*given, **more):
+        raise OpenDirection(("c2",))
+
+    monkeypatch.setattr("robots.calibration.mistakes.fit_campaign", left_open)
+    refuse_loads(fit)
