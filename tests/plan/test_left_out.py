@@ -14,7 +14,7 @@ from ocp.model.prepare import wheel_cover
 from ocp.plan.clearance import CollisionScene
 from ocp.plan.files import _verified
 from ocp.plan.passes.course import lengthened
-from ocp.plan.passes.optimise import GroundLines, PassWorker, refuse_ends, refuse_uneven_leads, rises_between
+from ocp.plan.passes.optimise import GroundLines, PassesNear, PassWorker, refuse_ends, refuse_uneven_leads, rises_between
 from ocp.plan.passes.posture import contact_poses, impossible, seeds_of_stretches
 from ocp.plan.passes.stretches import (
     HALVINGS,
@@ -333,6 +333,53 @@ def test_a_line_looked_at_for_its_feed_is_looked_at_anew_for_other_seeds_and_eff
     with pytest.raises(Infeasible, match="no way"):
         worker.solve(stretch().path, seeds, None, "looked at")
     assert set(tried) == {(0.0, first), (0.1, "anew")}
+
+
+@pytest.mark.parametrize("direction", [1, -1])
+def test_a_line_too_near_to_the_platform_is_tried_with_one_seed_and_cut_though_the_whole_is_asked_for(monkeypatch, direction):
+    """Without and with what leads in, no more: no posture changes where the turned wheel passes."""
+    tried, one = [], stretch()
+
+    def solved(self, problem):
+        path, room = one.path, one.path.s > 0.005
+        tried.append(problem)
+        if len(tried) < 3:
+            raise PassesNear.of(path, ~room, "too near", "use another wheel")
+        return SimpleNamespace(problem=SimpleNamespace(path=path))
+
+    monkeypatch.setattr("ocp.plan.passes.optimise._from_seed", lambda path, seed, compliance: seed)
+    monkeypatch.setattr("ocp.plan.passes.optimise.find_seeds", lambda *_: [[SimpleNamespace(direction=direction)]])
+    for name in ("refuse_ends", "refuse_uneven_leads"):
+        monkeypatch.setattr(f"ocp.plan.passes.optimise.{name}", lambda *_: None)
+    monkeypatch.setattr("ocp.plan.passes.optimise.replace", lambda whole, turn_limit: whole)
+    monkeypatch.setattr(PassWorker, "_driven", lambda self, seed: "driven")
+    monkeypatch.setattr(PassWorker, "_whole_way", lambda self, seed, line, led: led)
+    monkeypatch.setattr(PassWorker, "_solve", solved)
+    worker, process = object.__new__(PassWorker), SimpleNamespace(turn_tolerance=0.1)
+    worker.ground, worker.scene = SimpleNamespace(cell=SimpleNamespace(effects=(), process=process), law=None), None
+    led = replace(one, path=replace(one.path, room_before=0.01))
+    found = worker.solve_stretch(led, 3 * [SimpleNamespace(direction=direction)], whole=True)
+    assert len(tried) == 3 and tried[:2] == [True, False] and len(found.passes) == len(found.left_out) == 1
+
+
+def test_no_solved_pass_leaves_the_worker_without_room_beside_the_platform(monkeypatch):
+    """At the pose that was solved, the wheel's centre lies on a point of the platform."""
+    cell, path = bundled_cell(), stretch().path
+    n = len(path.s)
+    zero = {"delta": np.zeros(n), "parts": np.zeros((n, 4)), "arc": np.zeros(n), "stiffness": np.ones(n)}
+    seen = SimpleNamespace(T_base_blade=np.tile(np.eye(4), (n, 1, 1)), **zero)
+    problem = SimpleNamespace(path=path, indentation_correction=np.zeros(n), approach=None)
+    solution = SimpleNamespace(q=np.zeros((n, 6)), force=np.ones(n))
+    for name, result in (("solve_directly", np.zeros(n)), ("refuse_unsound", None)):
+        monkeypatch.setattr(f"ocp.plan.passes.optimise.{name}", lambda *_, result=result: result)
+    monkeypatch.setattr(PassWorker, "_with_clearances", lambda self, problem, q: None)
+    worker = object.__new__(PassWorker)
+    worker.solver = SimpleNamespace(
+        with_approach=lambda problem, *_: problem, solve=lambda *_: solution, evaluate=lambda *_: seen
+    )
+    worker.scene, worker.ground = None, SimpleNamespace(cell=cell, cloud=None, beside=cell.wheel.centre[None])
+    with pytest.raises(PassesNear, match="the wheel would touch block, platform or shroud"):
+        worker._solve(problem)
 
 
 def test_where_the_wheel_hangs_over_the_line_it_is_left_out(monkeypatch):
