@@ -11,8 +11,16 @@ import numpy as np
 
 from ocp.model.cell import Cell, wheel_frame
 from ocp.plan.motion import MotionSegment, PlannedMotion
-from ocp.plan.passes.optimise import LEAVING, RAMP_SHARE, force_tolerance
-from ocp.plan.rules import EMITTED_AIR_TOLERANCE, EMITTED_FORCE_SHARE, EMITTED_TOLERANCE, FLANGE_SHARE, RIGID_FORCE_TOLERANCE
+from ocp.plan.passes.optimise import force_tolerance
+from ocp.plan.rules import (
+    EMITTED_AIR_TOLERANCE,
+    EMITTED_FORCE_SHARE,
+    EMITTED_TOLERANCE,
+    FLANGE_SHARE,
+    LEAVING,
+    RAMP_SHARE,
+    RIGID_FORCE_TOLERANCE,
+)
 from robots.kinematics import forward
 from robots.pose import Array, apply
 from robots.tracker_readings import Hanging

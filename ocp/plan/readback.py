@@ -12,13 +12,15 @@ from ocp.contact.wheel.cover import Cover
 from ocp.model.blade_gap import SurfaceCloud
 from ocp.model.cell import Cell
 from ocp.plan.motion import MotionSegment, PlannedMotion
-from ocp.plan.passes.optimise import LEAST_DIRECT, LEAVING, RAMP_SHARE, SolvedPass, force_tolerance
+from ocp.plan.passes.optimise import LEAST_DIRECT, SolvedPass, force_tolerance
 from ocp.plan.passes.stretches import CannotGrind
 from ocp.plan.rules import (
     BLOCK_TIME_TOLERANCE,
     EMITTED_TOLERANCE,
     GAP_TOLERANCE,
     LEAST_STRETCH,
+    LEAVING,
+    RAMP_SHARE,
     READ_BACK_LIMIT,
     RIGID_FORCE_TOLERANCE,
     STRAY,

@@ -95,6 +95,14 @@ force on the blade. Reason: the mission's requirement."""
 RIGID_FORCE_TOLERANCE = 2.0
 """[N] The same without a force flange. Guards: the force on the blade. Reason: the mission's requirement."""
 
+LEAVING = 1.0
+"""[N] Beyond a flange's preload at its stop, up to which a ramp is judged as without a flange. Guards: the flange's tolerance
+where it gives. Reason: a program's points round the bend where it leaves its stop."""
+
+RAMP_SHARE = 0.98
+"""[-] Of the force of a line, from which on nothing is a ramp any more. Guards: the flange's tolerance along the line. Reason:
+judgement; from there the force may be the line's own, which is held unevenly by a percent or two."""
+
 FLANGE_SHARE = 0.5
 """[-] Of the contact's normal along the flange's axis, in the middle of the paths. Guards: the flange holds the force, not the
 stiff arm. Reason: judgement; at 60 deg it is four times as stiff as along its axis."""

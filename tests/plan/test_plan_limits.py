@@ -564,14 +564,15 @@ def test_on_its_stop_a_flange_is_as_stiff_as_none_until_the_force_has_risen(cell
 
 
 def test_points_are_emitted_as_for_a_rigid_mount_where_the_flange_leaves_its_stop(cell):
-    """Up to 12 N at its stop: on the ramp up to 13 N; not where it gives, nor under the full force."""
-    force = np.array([4.0, 11.0, 12.0, 12.9, 13.1, 19.0, 20.0])
+    """Up to 12 N at its stop: on the ramp up to LEAVING more; not where it gives, nor from RAMP_SHARE of the full force on."""
+    force = np.array([4.0, 11.0, 12.0, 12.0 + rules.LEAVING - 0.1, 12.0 + rules.LEAVING + 0.1, 19.0, 20.0])
     stiffness = np.where(force < 12.5, 6e4, 5.2e3)
     soft, hard = rules.FLANGE_FORCE_TOLERANCE, rules.RIGID_FORCE_TOLERANCE
     full = np.full(7, 20.0)
     assert force_allowed(cell, stiffness, force, full).tolist() == [hard] * 4 + [soft] * 3
     assert force_allowed(cell, np.full(7, 5.2e3), force, full).tolist() == [soft] * 7
-    assert force_allowed(cell, np.full(7, 6e4), force, force).tolist() == [soft] * 7
+    ramp = (rules.RAMP_SHARE - 1e-6) * np.array([1.0, 1.0]), (rules.RAMP_SHARE + 1e-6) * np.array([1.0, 1.0])
+    assert [force_allowed(cell, np.full(2, 6e4), 20.0 * part, np.full(2, 20.0))[0] for part in ramp] == [hard, soft]
 
 
 @pytest.fixture(scope="module")

@@ -49,8 +49,6 @@ from trajectories.passes import BladePath, reversed_path
 
 CORRECTIONS = 4
 LEAST_DIRECT = 0.2  # of the programmed force: with less the contact is not solved directly
-LEAVING = 1.0  # N beyond a flange's preload, within which a program's points still round the bend where it leaves its stop
-RAMP_SHARE = 0.98  # of the force of a line, below which it is still rising or falls
 WORTH_COMPILING = 1000  # waypoints: solving them by machine code saves what compiling takes
 SIGN_TOLERANCE = 0.1  # of an axis' sign of motion between the program and its solution
 CLEARANCE_BAND = 0.010  # m; waypoints closer than this to a margin get a clearance row
