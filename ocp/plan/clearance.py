@@ -31,6 +31,7 @@ BASE_PLANE = "plane of the base"
 SPARE = 1e-4  # m; distances between shapes are iterated to a hundredth of it
 SLACK = 1e-6  # m by which a first look takes more points than count; products of lengths below 10 m are good to 1e-8
 SLANT = np.radians(60.0)  # of the other rays from a facet off its normal
+ALIKE, ALIKE_NORMAL = 5e-4, 0.25  # m, 1: size of the cells of place and of unit normal in which facets are alike
 RAY_START = 2e-4  # m off the facet, so that a ray does not meet its own neighbours
 
 
@@ -253,7 +254,8 @@ def enclosed(vertices: Array, faces: NDArray[np.int64], which: NDArray[np.int64]
     """Of the facets `which` of a closed mesh (vertices (nv, 3) m, faces (nf, 3) turned outward) those that see nothing but the
     part itself, along their normal and slanting off it to six sides: walls of cavities, bores and slots.
 
-    A wheel that touches a facet has its own radius of free room along that facet's normal.
+    A wheel that touches a facet has its own radius of free room along that facet's normal. Facets of one direction within
+    ALIKE of each other see the same: one of them is asked.
     """
     mesh, corners = coal.BVHModelOBBRSS(), coal.StdVec_Vec3s()
     corners.extend(list(np.asarray(vertices, float)))
@@ -272,15 +274,17 @@ def enclosed(vertices: Array, faces: NDArray[np.int64], which: NDArray[np.int64]
     a, b, c = (vertices[faces[which, i]] for i in range(3))
     normal = np.cross(b - a, c - a)
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
-    turns = np.radians(np.arange(0.0, 360.0, 60.0))
-    found = np.zeros(len(which), bool)
-    for k, (middle, n) in enumerate(zip((a + b + c) / 3.0, normal, strict=True)):
+    turns, middles = np.radians(np.arange(0.0, 360.0, 60.0)), (a + b + c) / 3.0
+    like = np.round(np.hstack([middles / ALIKE, normal / ALIKE_NORMAL])).astype(np.int64)
+    _, first, group = np.unique(like, axis=0, return_index=True, return_inverse=True)
+    found = np.zeros(len(first), bool)
+    for k, (middle, n) in enumerate(zip(middles[first], normal[first], strict=True)):
         if not np.any(n) or not meets(middle, n):
             continue
         x, y, _ = _frame_with_z(n).T
         around = (np.cos(SLANT) * n + np.sin(SLANT) * (np.cos(turn) * x + np.sin(turn) * y) for turn in turns)
         found[k] = all(meets(middle, direction) for direction in around)
-    return found
+    return np.asarray(found[group.reshape(-1)])
 
 
 def flange_pose(cell: Cell, T_base_blade: Array) -> Array:
