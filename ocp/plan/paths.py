@@ -217,6 +217,8 @@ def _pass_options(cell: Cell, step: float) -> PassOptions:
 
 APART = 3e-3  # m between nominal blade and wheel: poses farther off are approach, not contact
 STRIP = 2.5e-3  # m about the wheel's middle plane and the deepest point that the local fit uses
+SAME_FEED = 0.05  # by which $VEL.CP may change within a pass that has one feed
+LEAST_POINTS = 3  # of contact on a pass: through two no curve on a twisted blade is known
 LEAST_SPACING = 9e-4  # m between contact points that are kept: programs crowd points where they start and stop
 
 
@@ -232,8 +234,14 @@ def paths_from_program(
     old, notes = contact_frames_from_program(
         execution, lambda q: forward(cell.robot, q), cell.workpiece.T_flange_blade, wheel_frame(cell)
     )
-    touching = {number: found for number, one in enumerate(old, 1) if len(found := _touching(cell, cloud, one)) >= 3}
+    touching = {number: found for number, one in enumerate(old, 1) if len(found := _touching(cell, cloud, one)) >= LEAST_POINTS}
     if not touching:
+        most = max(len(_touching(cell, cloud, one)) for one in old)
+        if most:
+            raise BadInput(
+                f"{source}: its path motions touch the wheel at {most} points at most, {LEAST_POINTS} are needed to know a path "
+                f"on the blade; put points between them, at least {1e3 * LEAST_SPACING:g} mm apart"
+            )
         raise BadInput(
             f"{source}: none of its {len(old)} path motions brings the blade within {APART * 1e3:g} mm of the wheel; "
             "is it a program of this cell, blade and tool frame?"
@@ -249,7 +257,7 @@ def paths_from_program(
     feed, force = np.repeat(feeds, [len(r[0]) for r in rows]), np.full(len(p), cell.process.force)
     places = [one.place for one in nearest]
     paths, more = paths_from_points(blade, shape, line, p, n, t, feed, force, source.name, places, step)
-    return paths, [*notes, told, *more]
+    return paths, [*notes, told, *_feed_notices(cell, source.name, touching), *more]
 
 
 @dataclass(frozen=True)
@@ -270,6 +278,27 @@ def _touching(cell: Cell, cloud: SurfaceCloud, one: OldPass) -> list[_OldContact
         if found is not None and not (contacts and np.linalg.norm(found[0] - contacts[-1].p) < LEAST_SPACING):
             contacts.append(_OldContact(*found, f"{one.file}, line {line}", float(feed)))
     return contacts
+
+
+def _feed_notices(cell: Cell, name: str, touching: dict[int, list[_OldContact]]) -> list[str]:
+    """Where the feed of a pass is not the one that a program drives all along it."""
+    told = {number: np.array([one.feed for one in found]) for number, found in touching.items()}
+    without = [number for number, feeds in told.items() if np.isnan(feeds).any()]
+    inner = {number: feeds[1:-1] for number, feeds in told.items() if not np.isnan(feeds).any()}
+    varied = {number: feeds for number, feeds in inner.items() if np.ptp(feeds) > SAME_FEED * np.median(feeds)}
+    notices = []
+    if without:
+        notices.append(
+            f"{name}: no $VEL.CP is known in {len(without)} of its {len(told)} passes; the cell's feed, "
+            f"{1e3 * cell.process.feed:g} mm/s, is taken there"
+        )
+    if varied:
+        number, feeds = max(varied.items(), key=lambda one: float(np.ptp(one[1]) / np.median(one[1])))
+        notices.append(
+            f"{name}: $VEL.CP changes inside of {len(varied)} of its {len(told)} passes, most in path motion {number}, from "
+            f"{1e3 * feeds.min():g} to {1e3 * feeds.max():g} mm/s; each gets one feed, the median of its points"
+        )
+    return notices
 
 
 def _resampled(contacts: list[_OldContact], step: float) -> tuple[Array, Array, Array, NDArray[np.int64]]:

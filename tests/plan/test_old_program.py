@@ -1,4 +1,4 @@
-"""The path of an old program: which feed its passes are given."""
+"""The path of an old program: which feed its passes are given, and what is said where that is not the program's own."""
 
 from pathlib import Path
 from types import SimpleNamespace
@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from ocp.plan import paths
+from robots.errors import BadInput
 from tests.support.invented_motion import cell
 from trajectories.program.old_program import OldPass
 
@@ -29,5 +30,19 @@ def test_a_pass_has_the_feed_of_most_of_its_points(told, feed, monkeypatch):
     monkeypatch.setattr(paths, "contact_frames_from_program", lambda *_: ((old,), ()))
     monkeypatch.setattr(paths, "_contact", lambda *_: (np.array([next(along), 0.0, 0.0]), np.array([0.0, 0.0, 1.0])))
     monkeypatch.setattr(paths, "paths_from_points", lambda *given: found.update(feed=given[6]) or ([], []))
-    paths.paths_from_program(cell(), None, None, None, Path("old.src"), 1e-3)
+    notices = paths.paths_from_program(cell(), None, None, None, Path("old.src"), 1e-3)[1]
+    assert any("no $VEL.CP is known" in text for text in notices) == bool(np.isnan(told).any())
+    assert any("$VEL.CP changes inside" in text for text in notices) == bool(np.ptp(told) > 0)
     assert cell().process.feed == 0.04 and len(found["feed"]) > 40 and (found["feed"] == feed).all()
+
+
+def test_a_path_of_two_points_is_told_from_one_that_does_not_touch(monkeypatch):
+    """A way of two points touches the wheel, but does not say how it lies on the blade between them."""
+    told = np.full(2, 0.05)
+    old = OldPass(np.tile(np.eye(4), (2, 1, 1)), np.tile(np.eye(4), (2, 1, 1)), None, told, "old.src", np.arange(2))
+    along = iter((0.0, 0.05) * 2)
+    monkeypatch.setattr(paths, "dialect_named", lambda name: SimpleNamespace(read=lambda source: None))
+    monkeypatch.setattr(paths, "contact_frames_from_program", lambda *_: ((old,), ()))
+    monkeypatch.setattr(paths, "_contact", lambda *_: (np.array([next(along), 0.0, 0.0]), np.array([0.0, 0.0, 1.0])))
+    with pytest.raises(BadInput, match="touch the wheel at 2 points at most, 3 are needed"):
+        paths.paths_from_program(cell(), None, None, None, Path("old.src"), 1e-3)

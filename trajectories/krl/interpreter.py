@@ -25,6 +25,13 @@ KINDS: dict[str, MotionKind] = {
 
 
 PATH = ("$VEL.CP", "$ACC.CP", "$VEL.ORI1", "$VEL.ORI2", "$ACC.ORI1", "$ACC.ORI2")  # what bounds a motion along poses
+TELLS_FEED = {"#VEL_CP", "#CP_PARAMS"}  # of BAS: the speed of an inline form
+CLAUSE_FEED = re.compile(r"(?:\$VEL \. CP = |\$VEL = \{ (?:CP |[^}]* , CP )|SVEL_CP \( )([0-9.]+)", re.IGNORECASE)
+CLAUSE_FRAMES = re.compile(r"\bSTOOL2? \( (\w+)", re.IGNORECASE)
+OUTER = tuple(f"E{i}" for i in range(1, 7))  # axes besides the robot's
+STANDS = 1e-3  # mm or deg, within which these stand
+ZERO = syntax.Aggregate(tuple((name, syntax.Number(0.0, "0")) for name in POSE))
+CONSTANTS = {"$NULLFRAME": ZERO, "$WORLD": ZERO}
 BITS = re.compile(r"'[Bb][01]{1,31}'")
 MOST_CALLS = 10_000  # a program of a whole blade calls some hundred
 
@@ -76,6 +83,8 @@ class _Runner:
         self.frames = Frames()
         self.path: dict[str, float] = {}
         self.stored: dict[str, syntax.Value] = {}
+        self.computed: dict[str, str] = {}  # positions and frames that only the controller knows: where they were set
+        self.outer: tuple[float, ...] | None = None
 
     def run(self, path: Path, callers: tuple[str, ...]) -> None:
         module = self._module(path)
@@ -91,20 +100,22 @@ class _Runner:
             raise BadInput(f"{path.with_suffix('.dat').name}: the file is missing; a program is a pair of .src and .dat")
         names = self._module(data).declared() if data else {}
         block: list[tuple[syntax.MotionStatement, syntax.Number | None]] | None = None
-        kind, end = "", None
+        kind, end, clause = "", None, ""
         for s in module.statements:
             where = f"{path.name}, line {s.line}"
             if isinstance(s, syntax.BlockStart):
-                block, kind, end = [], s.kind, None
+                block, kind, end, clause = [], s.kind, None, s.clause
             elif isinstance(s, syntax.BlockEnd):
                 if block:
-                    self.segments.append(self._segment(kind, block, end, path.name, names))
+                    self.segments.append(self._by_clause(clause, kind, block, end, path.name, names))
                 block = None
             elif isinstance(s, syntax.MotionStatement):
                 if block is not None:
                     block.append((s, None))
+                    if CLAUSE_FEED.search(s.clause):
+                        self.notices.append(f"{where}: the speed of one point of a spline block is passed over")
                 elif self._known(s, names, where):
-                    self.segments.append(self._segment(s.kind, [(s, None)], None, path.name, names))
+                    self.segments.append(self._by_clause(s.clause, s.kind, [(s, None)], None, path.name, names))
             elif isinstance(s, syntax.TimeBlock) and block:
                 if s.what == "PART":
                     block[-1] = (block[-1][0], s.value)
@@ -113,7 +124,7 @@ class _Runner:
             elif isinstance(s, syntax.PauseStatement):
                 self.stops.append(len(self.segments) - 1)
             elif isinstance(s, syntax.Assignment):
-                self._assign(s.target, s.value, names)
+                self._assign(s.target, s.value, names, where)
             elif isinstance(s, syntax.Call):
                 self._call(s, where, (*callers, module.name.upper()))
 
@@ -123,12 +134,24 @@ class _Runner:
         return self.modules[path]
 
     def _known(self, s: syntax.MotionStatement, names: dict[str, syntax.Declaration], where: str) -> bool:
-        if not isinstance(s.target, syntax.Word) or s.target.text in names or s.target.text in self.stored:
+        if not isinstance(s.target, syntax.Word):
+            return True
+        name = s.target.text
+        if name not in self.computed and (name in names or name in self.stored):
             return True
         if s.kind in ("PTP", "SPTP"):
-            self.notices.append(f"{where}: the position {s.target.text} is not in the program's files; the move is left out")
+            self.notices.append(f"{where}: the position {name} is not in the program's files; the move is left out")
             return False
-        raise BadInput(f"{where}: the position {s.target.text} is not declared in the program's .dat file")
+        self._refuse_computed(name, where)
+        raise BadInput(f"{where}: the position {name} is not declared in the program's .dat file")
+
+    def _refuse_computed(self, name: str, where: str) -> None:
+        """Raises BadInput: only the controller knows what a position or frame is here."""
+        if name in self.computed:
+            raise BadInput(
+                f"{where}: {name} is computed when the program runs ({self.computed[name]}), so where the path lies is not "
+                "known; write its numbers there"
+            )
 
     def _call(self, s: syntax.Call, where: str, callers: tuple[str, ...]) -> None:
         name = s.name.upper()
@@ -144,37 +167,90 @@ class _Runner:
                 self.notices.append(f"{where}: {s.name} is called and is not in {self.folder}; it is passed over")
 
     def _bas(self, arguments: tuple[str, ...]) -> None:
-        what, number = arguments[0].replace(" ", "").upper(), arguments[-1]
+        what, number = arguments[0].replace(" ", "").upper(), arguments[-1].replace(" ", "")
         if what == "#INITMOV":
             self.frames = Frames(tool_no=1, base_no=0)
-        elif what == "#TOOL" and number.isdigit():
-            self.frames = replace(self.frames, tool=self._data("TOOL_DATA", int(number)), tool_no=int(number))
-        elif what == "#BASE" and number.isdigit():
-            self.frames = replace(self.frames, base=self._data("BASE_DATA", int(number)), base_no=int(number))
+            self.computed = {name: where for name, where in self.computed.items() if name not in ("$TOOL", "$BASE")}
+        elif what in ("#TOOL", "#BASE") and number.isdigit():
+            self._numbered(f"${what[1:]}", int(number))
+        elif what in TELLS_FEED and re.fullmatch(r"\d+\.?\d*|\.\d+", number):
+            self.path["$VEL.CP"] = float(number)
 
-    def _data(self, table: str, number: int) -> Array | None:
-        value = self.stored.get(f"{table}[{number}]")
-        return pose_of(value) if isinstance(value, syntax.Aggregate) else None
+    def _numbered(self, target: str, number: int) -> None:
+        """Set $TOOL or $BASE to the TOOL_DATA or BASE_DATA of a number."""
+        table = f"{target[1:]}_DATA[{number}]"
+        value = self.stored.get(table)
+        self._set_frame(target, pose_of(value) if isinstance(value, syntax.Aggregate) else None, number)
+        if table in self.computed:
+            self.computed[target] = self.computed[table]
 
-    def _assign(self, target: str, value: syntax.Value, names: dict[str, syntax.Declaration]) -> None:
+    def _set_frame(self, target: str, T: Array | None, number: int | None) -> None:
+        which = target[1:].lower()
+        self.frames = replace(self.frames, **{which: T, f"{which}_no": number})  # type: ignore[arg-type]
+        self.computed.pop(target, None)
+
+    def _resolved(self, value: syntax.Value, names: dict[str, syntax.Declaration]) -> syntax.Value:
+        """The numbers of a position or frame that a word names, where they are known."""
+        if not isinstance(value, syntax.Word) or value.text.upper() in self.computed:
+            return value
+        name = value.text.upper()
+        declared = names[name].value if name in names else None
+        found = self.stored.get(name) or declared or CONSTANTS.get(name)
+        return found if isinstance(found, syntax.Aggregate) else value
+
+    def _assign(self, target: str, value: syntax.Value, names: dict[str, syntax.Declaration], where: str) -> None:
+        known, (whole, _, part) = self._resolved(value, names), target.partition(".")
         if target in ("$TOOL", "$BASE"):
-            which = target[1:].lower()
-            T, number = None, None
-            if isinstance(value, syntax.Aggregate):
-                T = pose_of(value)
-            elif isinstance(value, syntax.Word) and value.text.upper().startswith(f"{target[1:]}_DATA["):
-                index = value.text[10:-1]
-                number = int(index) if index.isdigit() else None  # a variable: known on the controller alone
-                T = None if number is None else self._data(f"{target[1:]}_DATA", number)
-            self.frames = replace(self.frames, **{which: T, f"{which}_no": number})  # type: ignore[arg-type]
+            self._assign_frame(target, value, known, where)
         elif target == "$IPO_MODE" and isinstance(value, syntax.Word):
             self.frames = replace(self.frames, external_tcp=value.text.upper() == "#TCP")
         elif target in PATH and isinstance(value, syntax.Number):
             self.path[target] = value.value
+        elif target in ("$VEL", "$ACC") and isinstance(value, syntax.Aggregate):
+            told = {f"{target}.{name}": number.value for name, number in value.items if isinstance(number, syntax.Number)}
+            self.path |= {name: number for name, number in told.items() if name in PATH}
         elif target == "FDAT_ACT" and isinstance(value, syntax.Word) and value.text.upper() in names:
             self._inline_frames(names[value.text.upper()].value)
-        elif target.startswith(("TOOL_DATA[", "BASE_DATA[")) or isinstance(value, syntax.Aggregate):
-            self.stored[target] = value
+        elif part:
+            self._assign_part(whole, part, value, names, where)
+        elif isinstance(known, syntax.Aggregate):
+            self.stored[target] = known
+            self.computed.pop(target, None)
+        elif target.startswith(("TOOL_DATA[", "BASE_DATA[")) or is_place(self._held(target, names)):
+            self.computed[target] = where
+
+    def _held(self, name: str, names: dict[str, syntax.Declaration]) -> syntax.Value | None:
+        return self.stored.get(name) or (names[name].value if name in names else None)
+
+    def _assign_frame(self, target: str, value: syntax.Value, known: syntax.Value, where: str) -> None:
+        text = value.text.upper() if isinstance(value, syntax.Word) else ""
+        index = text[10:-1] if text.startswith(f"{target[1:]}_DATA[") else ""
+        if index.isdigit():
+            self._numbered(target, int(index))
+            return
+        self._set_frame(target, pose_of(known) if isinstance(known, syntax.Aggregate) else None, None)
+        if text in self.computed or text.startswith("EXPRESSION "):  # another variable is one of the controller: as its numbers
+            self.computed[target] = self.computed.get(text, where)
+
+    def _assign_part(self, whole: str, part: str, value: syntax.Value, names: dict[str, syntax.Declaration], where: str) -> None:
+        """One component of a frame or position: P5.X = 3.0."""
+        if whole in ("$TOOL", "$BASE"):
+            T = self.frames.tool if whole == "$TOOL" else self.frames.base
+            if T is None or part not in POSE[:3] or not isinstance(value, syntax.Number):  # A alone turns otherwise near B 90
+                self.computed[whole] = where
+                return
+            T = T.copy()
+            T[POSE.index(part), 3] = 1e-3 * value.value
+            self.frames = replace(self.frames, **{whole[1:].lower(): T})  # type: ignore[arg-type]
+            return
+        held = self._held(whole, names)
+        if whole.startswith(("TOOL_DATA[", "BASE_DATA[")) and held is None:
+            self.computed[whole] = where
+        elif isinstance(held, syntax.Aggregate) and is_place(held):
+            if isinstance(value, syntax.Number):
+                self.stored[whole] = syntax.Aggregate(tuple((dict(held.items) | {part: value}).items()))
+            else:
+                self.computed[whole] = where
 
     def _inline_frames(self, value: syntax.Value | None) -> None:
         """Frames of an old inline form: FDAT {TOOL_NO 1,BASE_NO 2,IPO_FRAME #TCP}."""
@@ -182,10 +258,29 @@ class _Runner:
             return
         tool, base, mode = (value.get(n) for n in ("TOOL_NO", "BASE_NO", "IPO_FRAME"))
         if isinstance(tool, syntax.Number) and isinstance(base, syntax.Number):
-            t, b = int(tool.value), int(base.value)
-            self.frames = Frames(self._data("TOOL_DATA", t), self._data("BASE_DATA", b), t, b, self.frames.external_tcp)
+            self._numbered("$TOOL", int(tool.value))
+            self._numbered("$BASE", int(base.value))
         if isinstance(mode, syntax.Word):
             self.frames = replace(self.frames, external_tcp=mode.text.upper() == "#TCP")
+
+    def _by_clause(
+        self,
+        clause: str,
+        word: str,
+        points: list[tuple[syntax.MotionStatement, syntax.Number | None]],
+        end: syntax.Number | None,
+        file: str,
+        names: dict[str, syntax.Declaration],
+    ) -> KrlSegment:
+        """A segment with the feed and frames that its WITH gives it alone."""
+        before = self.frames, dict(self.path), dict(self.computed)
+        if feed := CLAUSE_FEED.search(clause):
+            self.path["$VEL.CP"] = float(feed[1])
+        if (form := CLAUSE_FRAMES.search(clause)) and form[1].upper() in names:
+            self._inline_frames(names[form[1].upper()].value)
+        made = self._segment(word, points, end, file, names)
+        self.frames, self.path, self.computed = before
+        return made
 
     def _segment(
         self,
@@ -197,6 +292,9 @@ class _Runner:
     ) -> KrlSegment:
         targets = [self._position(m, names, f"{file}, line {m.line}") for m, _ in points]
         axial = axes_of(targets[0]) is not None
+        if KINDS[word] != "point":
+            for (motion, _), target in zip(points, targets, strict=True):
+                self._check_path(target, axial, f"{file}, line {motion.line}")
         values = [axes_of(t) if axial else pose_of(t) for t in targets]
         if any(v is None for v in values):
             line = points[next(i for i, v in enumerate(values) if v is None)][0].line
@@ -213,6 +311,20 @@ class _Runner:
         kept = (KINDS[word], word, file, lines, q, poses, times, self.frames, status, turn)
         return KrlSegment(*kept, bounds=self._bounds(), blended=bool(points[-1][0].approximation))
 
+    def _check_path(self, target: syntax.Aggregate, axial: bool, where: str) -> None:
+        """Raises BadInput: a point of a path that the text alone does not place on the blade."""
+        if not axial:
+            self._refuse_computed("$TOOL", where)
+            self._refuse_computed("$BASE", where)
+        stands = tuple(v.value if isinstance(v := target.get(name), syntax.Number) else 0.0 for name in OUTER)
+        first = self.outer = self.outer or stands
+        for name, before, now in zip(OUTER, first, stands, strict=True):
+            if abs(now - before) > STANDS:
+                raise BadInput(
+                    f"{where}: the outer axis {name} goes from {before:g} to {now:g} along the path; only paths of a robot that "
+                    "moves its own six axes alone can be read"
+                )
+
     def _bounds(self) -> PathBounds:
         cp, turns = ([self.path.get(f"${word}.{part}", np.inf) for word in ("VEL", "ACC")] for part in ("CP", "ORI1"))
         other = [self.path.get(f"${word}.ORI2", np.inf) for word in ("VEL", "ACC")]
@@ -221,7 +333,8 @@ class _Runner:
     def _position(self, motion: syntax.MotionStatement, names: dict[str, syntax.Declaration], where: str) -> syntax.Aggregate:
         target: syntax.Value | None = motion.target
         if isinstance(target, syntax.Word):
-            target = self.stored.get(target.text) or (names[target.text].value if target.text in names else None)
+            self._refuse_computed(target.text, where)
+            target = self._held(target.text, names)
         if not isinstance(target, syntax.Aggregate):
             raise BadInput(f"{where}: the position {getattr(motion.target, 'text', '')} is not declared in the .dat file")
         return target
@@ -237,6 +350,11 @@ def pose_of(value: syntax.Aggregate) -> Array | None:
     """Transform (4, 4) of {X .. mm, .., C .. deg}, None if not all six stand there."""
     found = _numbers(value, POSE)
     return None if found is None else transform_from_xyzabc(found[:3] * 1e-3, np.radians(found[3:]))
+
+
+def is_place(value: syntax.Value | None) -> bool:
+    """Whether a value is a position or frame."""
+    return isinstance(value, syntax.Aggregate) and (value.get("X") is not None or value.get("A1") is not None)
 
 
 def _numbers(value: syntax.Aggregate, names: tuple[str, ...]) -> Array | None:

@@ -124,10 +124,9 @@ def _definition(line: TokenLine) -> syntax.Definition:
 
 def _block_start(line: TokenLine, strict: bool) -> syntax.BlockStart:
     kind = line.take().text.upper()
-    if not strict and line.peek().text.upper() == "WITH":
-        line.rest()
+    clause = "" if strict else _clause(line)
     line.finish()
-    return syntax.BlockStart(line.number, kind)
+    return syntax.BlockStart(line.number, kind, clause)
 
 
 def _motion(line: TokenLine, strict: bool) -> syntax.MotionStatement:
@@ -145,10 +144,14 @@ def _motion(line: TokenLine, strict: bool) -> syntax.MotionStatement:
     else:
         raise line.error(f"expected '{{' after {kind} and found '{line.peek().text or 'the end of the line'}'")
     approximation = _approximation(line)
-    if not strict and line.peek().text.upper() == "WITH":
-        line.rest()
+    clause = "" if strict else _clause(line)
     line.finish()
-    return syntax.MotionStatement(line.number, kind, target, approximation)
+    return syntax.MotionStatement(line.number, kind, target, approximation, clause)
+
+
+def _clause(line: TokenLine) -> str:
+    """What stands behind WITH, to the end of the line; empty without."""
+    return line.rest() if line.accept("WITH") else ""
 
 
 def _approximation(line: TokenLine) -> str:

@@ -77,8 +77,11 @@ class Ending(KeywordStatement):
     """END or ENDDAT."""
 
 
+@dataclass(frozen=True)
 class BlockStart(KeywordStatement):
-    """PTP_SPLINE or SPLINE."""
+    """PTP_SPLINE or SPLINE; `clause` as of a motion."""
+
+    clause: str = ""
 
 
 @dataclass(frozen=True)
@@ -115,10 +118,12 @@ class Call(Statement):
 
 @dataclass(frozen=True)
 class MotionStatement(KeywordStatement):
-    """PTP, LIN, SPTP, SLIN or SPL to a literal position or to a named one; `approximation` as C_VEL or empty."""
+    """PTP, LIN, SPTP, SLIN or SPL to a literal position or to a named one; `approximation` as C_VEL or empty; `clause`: what
+    stands behind WITH, which holds for this motion alone."""
 
     target: Value
     approximation: str
+    clause: str = ""
 
 
 class BlockEnd(Statement):

@@ -78,9 +78,11 @@ def _flange(segment: ProgramSegment, forward: Callable[[Array], Array], tool: Ar
     assert segment.poses is not None
     own = segment.frames
     if own.tool is None or own.base is None:
-        notices.append(
-            f"{segment.file}: tool {own.tool_no} and base {own.base_no} are not in the program; the cell's blade and wheel "
-            "frames are taken"
-        )
+        lacking = [("tool", own.tool_no, "blade")] if own.tool is None else []
+        lacking += [("base", own.base_no, "wheel")] if own.base is None else []
+        names = " and ".join(f"{name} {number}" if number is not None else f"the {name}" for name, number, _ in lacking)
+        frames = " and ".join(f"{cells} frame" for *_, cells in lacking)
+        are = "are" if len(lacking) > 1 else "is"
+        notices.append(f"{segment.file}: {names} {are} not in the program; the cell's {frames} {are} taken")
     known = replace(own, tool=tool if own.tool is None else own.tool, base=base if own.base is None else own.base)
     return known.flange(segment.poses)
