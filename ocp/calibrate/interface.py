@@ -10,10 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from ocp.calibrate.force.log import ForceLog, read_force_log, refuse_force_unit, without_ramps
+from ocp.calibrate.force.log import ForceLog, read_force_log, refuse_force_unit, refuse_saturated, without_ramps
 from ocp.calibrate.force.registration import fit_force, refuse_other_force
 from ocp.calibrate.report.pages import contact_sections, write_calibration_report
 from ocp.calibrate.tracker import CLEARLY, TrackerCalibration, as_calibration, calibrate_tracker, doubts_about
+from ocp.model.calibrated_for import made_for
 from ocp.model.cell import Cell, cell_tables_for, files_of, read_cell, with_calibration
 from ocp.model.columns import TABLES
 from ocp.report.section import Section
@@ -131,13 +132,14 @@ def _remedy(made: TrackerCalibration) -> str:
 def logged_cell(cell_file: Path, force: Path, mapping: ColumnMapping = OURS) -> tuple[Cell, ForceLog]:
     """The cell, and the log of what was ground in it.
 
-    Raises BadInput: the cell has no blade or wheel, the log is malformed or is not of this cell.
+    Raises BadInput: the cell has no blade or wheel, the log is malformed, is not of this cell, or its sensor saturates.
     """
     log = read_force_log(force, mapping=mapping)
     cell = read_cell(cell_file)
     if cell.workpiece.stl is None:
         raise BadInput(f"{cell_file}: workpiece.stl is missing; a force log needs the blade that was ground")
     refuse_force_unit(log, cell)
+    refuse_saturated(log)
     return cell, log
 
 
@@ -153,7 +155,7 @@ def write_tracker_calibration(
     out = output.named
     with output.whole() as folder:
         with phases.phase("writing"):
-            write_calibration(folder / "calibration.toml", calibration)
+            write_calibration(folder / "calibration.toml", made_for(calibration, made.setup.tables))
             _write_cell(made, folder / "cell.toml", out)
             _write_residuals(made, folder / "residuals.csv")
             if made.sealed is not None:

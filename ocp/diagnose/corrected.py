@@ -22,6 +22,7 @@ from ocp.diagnose.verdict.shrinkage import Shrinkage
 from ocp.effects.cell_effects import table_of
 from ocp.effects.effect import Active, scan_key
 from ocp.effects.patch import patch_table
+from ocp.model.calibrated_for import made_for
 from ocp.model.cell import cell_tables_for
 from robots.calibration.carried import carried_over
 from robots.calibration.store import BENDING, Calibration, write_calibration
@@ -41,7 +42,7 @@ def write_corrected_cell(folder: Path, out: Path, answer: Answer) -> None:
     robot = tables["robot"]
     calibration = calibration_of(answer.channels, data)
     if calibration is not None:
-        write_calibration(folder / CALIBRATION, calibration)
+        write_calibration(folder / CALIBRATION, made_for(calibration, data.setup.tables))
         robot["calibration"] = CALIBRATION
     elif data.setup.tables.robot.calibration is not None:
         believed = data.folder / data.setup.tables.robot.calibration

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ocp.calibrate.force.log import ForceLog, read_force_log, refuse_few_rows, refuse_force_unit, without_ramps
+from ocp.calibrate.force.log import ForceLog, read_force_log, refuse_few_rows, refuse_force_unit, saturation, without_ramps
 from ocp.calibrate.tracker import as_in
 from ocp.diagnose.joints.channel import HAVE as JOINT_COLUMNS
 from ocp.diagnose.joints.channel import seen_by_encoder
@@ -101,10 +101,13 @@ def read_data_set(folder: str | Path, columns: Path | None = None) -> DataSet:
         refuse_force_unit(log, cell)
         log = without_ramps(log, cell.flange is not None)
         refuse_few_rows(log)
+        if (full := saturation(log)) is not None:
+            log = replace(log, notices=(*log.notices, f"{FORCE}, line {full[0]}, column fn_N: {full[1]}"))
     if JOINTS in found:
         joints = read_joint_log(folder / JOINTS, mapping)
     sealed = {signal: folder / name for signal, name in SEALED.items() if (folder / name).is_file()}
-    told = [n for part in (readings, log, joints) if part is not None for n in part.notices] + left_out_notices(setup.robot)
+    told = [] if setup.calibration is None else list(setup.calibration.notices)
+    told += [n for part in (readings, log, joints) if part is not None for n in part.notices] + left_out_notices(setup.robot)
     blind = tuple(n for n in told if blinds(n))
     learnt = {path: path.name.removeprefix("sealed_") for path in sealed.values()}
     orphans = [f"{p.name} is not predicted: there is no {name} to learn from" for p, name in learnt.items() if name not in found]

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from ocp.effects.cell_effects import CellEffect
+from ocp.model.calibrated_for import held_in
 from ocp.model.cell_schema import (
     CellTables,
     ConditionsTable,
@@ -252,7 +253,8 @@ def _refuse_sunken_wheel(cell: Cell) -> None:
 
 
 def _calibration(path: Path, tables: CellTables, robot: Robot) -> Calibration | None:
-    """The calibration that a cell file names. Raises BadInput: as `read_calibration`, and where it is another robot's."""
+    """The calibration that a cell file names, as far as it holds there. Raises BadInput: as `read_calibration`, and where it is
+    another robot's."""
     if tables.robot.calibration is None:
         return None
     calibration = read_calibration(path.parent / tables.robot.calibration)
@@ -261,7 +263,7 @@ def _calibration(path: Path, tables: CellTables, robot: Robot) -> Calibration | 
             f"{path}: calibration '{tables.robot.calibration}' belongs to robot '{calibration.robot}', the cell has "
             f"'{robot.name}'; calibrate this robot or correct robot.model"
         )
-    return calibration
+    return held_in(calibration, tables, path.name)
 
 
 def _bending(calibration: Calibration | None, listed: tuple[int, ...]) -> tuple[int, ...]:
@@ -421,14 +423,13 @@ def _payload(table: PayloadTable | None) -> Hanging:
 
 def _wheel(table: WheelTable) -> Wheel:
     si = _si(table)
-    shore, modulus, arc = si.pop("shore_A"), si.pop("cover_modulus"), si.pop("contact_arc")
+    arc = si.pop("contact_arc")
+    si.pop("shore_A")
     axis = np.array(table.axis) / np.linalg.norm(table.axis)
     direction = np.array(table.contact_direction)
     direction = direction - axis * (axis @ direction)
-    if modulus is None:
-        # Shore A to Young's modulus, PHYSICS 3.4: log10 E[MPa] = 0.0235 S - 0.6403
-        modulus = 1e6 * 10 ** (0.0235 * shore - 0.6403)
-    si |= {"axis": axis, "contact_direction": direction / np.linalg.norm(direction), "cover_modulus": modulus}
+    direction /= np.linalg.norm(direction)
+    si |= {"axis": axis, "contact_direction": direction, "cover_modulus": 1e6 * table.modulus_MPa}
     return Wheel(**si, arc=(float(arc[0]), float(arc[1])))
 
 

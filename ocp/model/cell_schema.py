@@ -200,6 +200,14 @@ class WheelTable(TomlTable):
     friction: Annotated[float, Field(ge=0, le=2, strict=True)] = 0.35
     """Coefficient, belt on blade."""
 
+    @property
+    def modulus_MPa(self) -> float:
+        """Of the cover; from Shore A by PHYSICS 3.4: log10 E[MPa] = 0.0235 S - 0.6403."""
+        if self.cover_modulus_MPa is not None:
+            return self.cover_modulus_MPa
+        assert self.shore_A is not None
+        return float(10 ** (0.0235 * self.shore_A - 0.6403))
+
     @model_validator(mode="after")
     def _sound(self) -> "WheelTable":
         if (self.cover_modulus_MPa is None) == (self.shore_A is None):

@@ -17,6 +17,7 @@ from ocp.calibrate.force.log import ForceLog, is_known, log_mark, steady_rows, w
 from ocp.calibrate.force.registration import RECORDINGS, ForceFit, fit_force
 from ocp.calibrate.force.rows import ForceSetup, prepare_force
 from ocp.calibrate.interface import logged_cell
+from ocp.model.calibrated_for import made_for
 from ocp.model.cell import Cell, cell_tables_for, files_of
 from ocp.model.theta import believed_theta
 from ocp.shell.cache import sha256
@@ -107,11 +108,11 @@ def write_update(made: Updated, output: Output, phases: Phases, inputs: Sequence
 
     with output.whole() as folder:
         with phases.phase("writing"):
-            write_calibration(folder / "calibration.toml", made.states[3])
+            write_calibration(folder / "calibration.toml", made_for(made.states[3], made.cell.tables))
             _write_updated_cell(made, folder / "cell.toml", output.named)
         with phases.phase("report"):
             update_report(made, {path.name: sha256(path) for path in inputs}).write_page(folder / "report.html")
-    notices = (*made.notices, *made.fit.notices, *_removal_notices(made))
+    notices = (*made.states[0].notices, *made.notices, *made.fit.notices, *_removal_notices(made))
     return UpdateResult(output.named, made, made.states[3], notices, last_line(made, output.named))
 
 
@@ -160,6 +161,7 @@ def last_line(made: Updated, out: Path) -> str:
 
 
 PRESTON_SD = 0.3  # of a coefficient whose sigma the cell does not tell
+GROWN = 3.0  # standard deviations below none, from which a wear rate is told as no wear
 SAME_WEAR = 5e-6  # m over a log, by which another wear rate is worth another fit
 
 
@@ -250,7 +252,7 @@ def updated(
     grown_history = history.grown((float(clock.max()), ahead, wheel.offset), mark, entry)
     coming = replace(coming, provenance=coming.provenance | {"update": grown_history.table()})
     moments, states = (now, ahead), (before, expected, found, coming)
-    notices = (*wheel.notices, *_unusual(log, fit, verdict, parts))
+    notices = (*wheel.notices, *_unusual(log, fit, verdict, parts), *grown(log, found))
     return Updated(cell, fit.log, fit, verdict, parts, moments, states, grown_history, preston, told, notices)
 
 
@@ -320,6 +322,19 @@ def _unusual(log: ForceLog, fit: ForceFit, verdict: Verdict, parts: tuple[str, .
         f"{log.path.name}: is unlike what was forecast ({fit.figures.mean_before:+.2f} N off, chance {verdict.chance:.1g}), and "
         f"{verdict.sentence()}: without --changed this counts as wear and drift; if something was changed update again, from "
         f"the same cell, and say so (--changed, of {', '.join(left) or 'nothing more'})",
+    )
+
+
+def grown(log: ForceLog, found: Calibration) -> tuple[str, ...]:
+    """A sentence where the wear rate that was found is surely below none."""
+    at = found.names.index(WEAR)
+    rate, sd = float(found.values[at]), float(found.standard_deviation[at])
+    if rate + GROWN * sd >= 0.0:
+        return ()
+    return (
+        f"{log.path.name}: the wheel would grow by {-3.6e9 * rate:.0f} +- {3.6e9 * sd:.0f} um an hour, which no wheel does: "
+        "something else changed with the force or during the log (the sensor's gain, warmth, a wheel or blade that gave way); "
+        "look for it before the next blade",
     )
 
 

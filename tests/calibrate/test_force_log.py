@@ -16,6 +16,8 @@ from ocp.calibrate.force.log import (
     read_force_log,
     refuse_few_rows,
     refuse_force_unit,
+    refuse_saturated,
+    saturation,
     without_ramps,
 )
 from robots.errors import BadInput
@@ -370,3 +372,27 @@ def test_recordings_are_known_again_in_a_copy_with_rounded_numbers(tmp_path, run
         rounded = [row | {k: round(x, digits) for k, x in row.items() if isinstance(x, float)} for row in table]
         assert is_known(log_mark(read(tmp_path, rounded)), ["", mark])
     assert not is_known(log_mark(read(tmp_path, noisy())), [mark])
+
+
+def pressed(steps=0.0, top=np.inf, count=300):
+    """Forces N about 20, as a sensor of these steps with this end of its range reads them; a ramp before."""
+    fn = 20.0 + 0.3 * np.random.default_rng(3).normal(size=count)
+    fn[:40] = np.linspace(1.0, 19.0, 40) + 0.01 * fn[:40]
+    fn = np.round(np.round(fn / steps) * steps, 6) if steps else fn
+    return [{**row, "fn_N": float(f), "contact": 1} for row, f in zip(rows(count), np.minimum(fn, top), strict=True)]
+
+
+@pytest.mark.parametrize("steps", [0.0, 0.05])
+@pytest.mark.parametrize("top", [19.5, 20.0, 20.3])
+def test_a_sensor_at_the_end_of_its_range_is_refused(steps, top, tmp_path):
+    """Its mean is too low, which would be taken for a wheel that wore."""
+    log = read_force_log(write(tmp_path, pressed(steps, top)))
+    first = next(k for k, row in enumerate(pressed(steps, top), 2) if row["fn_N"] == top)
+    with pytest.raises(BadInput, match=rf"line {first}, column fn_N: \d+ of 300 rows in contact read {top:g} N, none more"):
+        refuse_saturated(log)
+    assert saturation(log)[0] == first
+
+
+@pytest.mark.parametrize("steps", [0.0, 0.01, 0.1, 0.5, 1.0, 2.0])
+def test_a_sensor_of_coarse_steps_is_not_one_at_its_end(steps, tmp_path):
+    refuse_saturated(read_force_log(write(tmp_path, pressed(steps))))

@@ -9,7 +9,7 @@ from ocp.calibrate.force.fit import BIAS, FIT_NAMES, force_prior
 from ocp.model.theta import registered
 from ocp.update.drift import SURPRISE, carried_on, changed_state, last_state
 from ocp.update.history import History, history_of
-from ocp.update.interface import Updated, updated
+from ocp.update.interface import Updated, grown, updated
 from robots.errors import BadInput, Infeasible
 from tests.support.wearing_cell import NOISE, WearingCell, posterior, wearing_cell
 
@@ -238,3 +238,14 @@ def test_a_wheel_does_not_grow(world):
     assert carried_on(grown, 3600.0, 0).values[radius] == grown.values[radius]
     worn = replace(state, values=np.where(np.arange(len(state.names)) == at, 6e-7, state.values))
     assert carried_on(worn, 3600.0, 0).values[radius] == pytest.approx(worn.values[radius] - 2.16e-3)
+
+
+def test_a_wheel_that_would_surely_grow_is_told(world):
+    """A sensor's gain that creeps up looks like that."""
+    state, log = last_state(world.cell), world.log
+    at = np.arange(len(state.names)) == state.names.index("wheel_wear")
+    for rate, sd, said in ((-6e-7, 1e-7, True), (-6e-7, 3e-7, False), (6e-7, 1e-7, False)):
+        covariance = np.where(np.outer(at, at), sd**2, state.covariance)
+        told = grown(log, replace(state, values=np.where(at, rate, state.values), covariance=covariance))
+        assert bool(told) == said
+        assert not said or "the wheel would grow by 2160 +- 360 um an hour, which no wheel does" in told[0]

@@ -52,6 +52,9 @@ CREEP = 1e-3  # m/s; points that are read off a standing arm move by less
 AIR_SHARE = 0.15  # of the log's usual force, below which a row without `contact` is taken for air
 AIR_WINDOW = 9  # rows over whose median that is judged
 STILL = 100  # rows in contact after the first of their recording: one that never changes over more of them is no reading
+AT_LIMIT, LEAST_AT_LIMIT = 0.02, 5  # share of the rows in contact, and rows, that read the log's very largest force: its end
+FINE_STEPS = 0.01  # of that, up to which a sensor's steps are fine: one of coarser steps reads one force often anyhow
+BELOW_LIMIT, PILED = 0.1, 2.0  # readings in the tenth below, times as often as any of which it then stands
 LEAST_ROWS = 20  # in contact that follow another of their recording: a sensor's noise is known to a quarter of itself by so many
 OTHER_CLOCKS = {1e3: "milliseconds", 1.0 / 60.0: "minutes", 1.0 / 3600.0: "hours"}  # by what they count of a second
 OTHER_CLOCK_NEAR = 0.1  # of that; clocks are alike to less
@@ -183,6 +186,29 @@ def refuse_few_rows(log: ForceLog) -> None:
             f"{log.path}, columns run, contact: {follow} rows in contact follow another one of their recording; at least "
             f"{LEAST_ROWS} are needed to tell the sensor's noise"
         )
+
+
+def refuse_saturated(log: ForceLog) -> None:
+    """Raises BadInput: the sensor stood at the end of its range in a part of the log; more force would have read the same."""
+    if (found := saturation(log)) is not None:
+        raise BadInput(
+            f"{log.path}, line {found[0]}, column fn_N: {found[1]}; measure with a larger range, or leave out those runs"
+        )
+
+
+def saturation(log: ForceLog) -> tuple[int, str] | None:
+    """The first line that reads the end of a sensor's range, and what there is to say; None where it is not met."""
+    fn = log.fn[log.contact]
+    if not len(fn) or not np.isfinite(fn).all() or (top := float(fn.max())) <= 0:
+        return None
+    at = np.flatnonzero(log.contact & (log.fn == top))
+    values, often = np.unique(fn, return_counts=True)
+    coarse = len(values) == 1 or np.diff(values).min() > FINE_STEPS * top
+    usual = often[:-1][values[:-1] >= (1.0 - BELOW_LIMIT) * top].max(initial=0)
+    if coarse or len(at) < max(LEAST_AT_LIMIT, AT_LIMIT * len(fn), PILED * usual):
+        return None
+    share = f"{len(at)} of {len(fn)} rows in contact read {top:.6g} N, none more"
+    return int(log.row[at[0]]), f"{share}: the sensor seems to be at the end of its range, and the force above it is not known"
 
 
 def log_mark(log: ForceLog) -> str:
