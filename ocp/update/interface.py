@@ -314,7 +314,12 @@ def _impossible(log: ForceLog, fit: ForceFit, verdict: Verdict, parts: tuple[str
 
 def _unusual(log: ForceLog, fit: ForceFit, verdict: Verdict, parts: tuple[str, ...]) -> tuple[str, ...]:
     """A sentence where a log that is used is hardly of the state that was handed in: a wheel that was moved a little looks like
-    one that wore or grew."""
+    one that wore or grew; and where it is too rough to tell."""
+    if not verdict.directions:
+        return (
+            f"{log.path.name}: tells nothing that was not known: its readings lie {fit.figures.rms_after:.2f} N rms off the fit, "
+            "so the state stays as forecast; compare fn_N with the axes: late, of other rows, or of a sensor that shakes?",
+        )
     if verdict.chance >= UNUSUAL:
         return ()
     left = [part for part in PARTS if part not in parts]

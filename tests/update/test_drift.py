@@ -249,3 +249,15 @@ def test_a_wheel_that_would_surely_grow_is_told(world):
         told = grown(log, replace(state, values=np.where(at, rate, state.values), covariance=covariance))
         assert bool(told) == said
         assert not said or "the wheel would grow by 2160 +- 360 um an hour, which no wheel does" in told[0]
+
+
+def test_a_log_too_rough_to_tell_anything_is_told(world, worn):
+    """Its chance is one whatever it reads."""
+    _, last = worn[-1]
+    rng, cell = np.random.default_rng(4), replace(world.cell, calibration=last.states[3])
+    log = world.ground(force_prior(world.cell).mean, 6 * BETWEEN, WEAR, rng)
+    walk = np.cumsum(3.0 * rng.normal(size=len(log)))
+    rough = updated(cell, replace(log, fn=log.fn + walk), world.setup, history_of(cell.calibration, cell.path), "rough")
+    assert not rough.verdict.directions
+    assert any("tells nothing that was not known" in text and "N rms off the fit" in text for text in rough.notices)
+    assert not any("tells nothing" in text for _, made in worn for text in made.notices)
