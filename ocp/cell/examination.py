@@ -100,6 +100,8 @@ def examine(path: Path, phases: Phases) -> Examined:
         setup = read_tracker_setup(path)
         tables = setup.tables
         found = findings_of_tables(tables, setup.robot)
+    if setup.calibration is not None:
+        found += (Finding(UNMEASURED, "robot.calibration", notice) for notice in setup.calibration.notices)
     if tables.workpiece is None or tables.wheel is None:
         lacking = "workpiece" if tables.workpiece is None else "wheel"
         what = f"the table [{lacking}] is missing; without it the cell serves calibration and diagnosis of the arm alone"

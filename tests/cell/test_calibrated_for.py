@@ -5,10 +5,12 @@ import re
 import numpy as np
 import pytest
 
+from ocp.cell.examination import UNMEASURED, Finding, examine
 from ocp.data import CELL
 from ocp.model.calibrated_for import RESTS_ON, made_for
 from ocp.model.cell import read_cell, read_tracker_setup
 from ocp.model.theta import BLOCKS, NAMES, believed_theta
+from ocp.shell.progress import Phases
 from robots.calibration.store import Calibration, read_calibration, write_calibration
 
 EDITED = {
@@ -49,6 +51,8 @@ def test_what_rests_on_an_edited_number_is_as_doubtful_as_the_cell_says(table, t
     (told,) = cell.calibration.notices
     assert re.search(said, told) and all(name in told for name in gone) and told.startswith("cell.toml: ")
     assert read_tracker_setup(tmp_path / "cell.toml").calibration.names == cell.calibration.names
+    (tmp_path / "cell.toml").write_text(text.replace(before, after).replace('stl = "blade.stl"\n', ""))
+    assert Finding(UNMEASURED, "robot.calibration", told) in examine(tmp_path / "cell.toml", Phases(None)).findings
     own = believed_theta(read_cell_without(tmp_path, text.replace(before, after)))
     theta, at = believed_theta(cell), [NAMES.index(name) for name in gone if name in NAMES]
     assert np.array_equal(theta.values[at], own.values[at]) and np.array_equal(theta.covariance[at], own.covariance[at])
