@@ -17,7 +17,7 @@ from ocp.diagnose import rules
 from ocp.diagnose.engine.evidence import Projection, Tails, log_evidence
 from ocp.diagnose.engine.findings import Name
 from ocp.effects.effect import Effect, Scanned
-from robots.pose import Array, Index, Mask
+from robots.pose import Array, Index
 
 PAIRWISE = 3  # columns of a variant up to which its products are taken pair by pair
 
@@ -39,6 +39,10 @@ class Family:
     where: str = ""
     background: bool = False
     among: int = 0
+
+
+Which = tuple[int, int]
+"""A member's family and variant."""
 
 
 class Member(NamedTuple):
@@ -78,40 +82,11 @@ class _Group:
         return np.concatenate(self.parts, axis=1)
 
 
-class _Kept:
-    """Columns of all members that were asked for, one below the other, and their products with each other, as far as a set had
-    both (nan: not yet), and (r,) with y, which few sets need anew."""
-
-    def __init__(self, rows: int) -> None:
-        self.places: dict[tuple[int, int], Index] = {}
-        self.beside: dict[int, tuple[Array, Mask]] = {}  # products with a family's columns, and which are known
-        self.count = 0
-        self.columns, self.G, self.b = np.empty((0, rows)), np.empty((0, 0)), np.empty(0)
-
-    def add(self, key: tuple[int, int], columns: Array, G: Array, b: Array) -> None:
-        """Columns (N, m) of a member that is not there yet, their products G (m, m) with each other and b (m,) with y."""
-        first, last = self.count, self.count + columns.shape[1]
-        if last > len(self.columns):
-            more = max(last, 64, len(self.columns))
-            self.columns = np.vstack([self.columns, np.empty((more, self.columns.shape[1]))])
-            self.G, self.b = np.pad(self.G, (0, more), constant_values=np.nan), np.pad(self.b, (0, more))
-        self.columns[first:last], self.G[first:last, first:last], self.b[first:last] = columns.T, G, b
-        self.places[key], self.count = np.arange(first, last), last
-
-    def squares(self, at: Index) -> Array:
-        """Products (r, r) of kept columns `at` (r,) with each other: few of all pairs ever stand in a set."""
-        pairs = at[:, None], at
-        if np.isnan(self.G[pairs]).any():
-            some = self.columns[at]
-            self.G[pairs] = some @ some.T
-        return self.G[pairs]
-
-
 @dataclass(frozen=True)
 class CandidatePool:
     """y (N,) white under no effect, freedom of it, families and their groups. Kept because the same few members stand in most
-    sets: `crossed`, products of members' columns with all others, `kept`, with each other and with those of one family, and
-    `bests`, of families beside others."""
+    sets: `pairs`, products of members' columns with each other, `crossed`, with all others, `beside`, with those of one family,
+    and `bests`, of families beside others; a member's family and variant say which."""
 
     y: Array
     freedom: int
@@ -119,36 +94,33 @@ class CandidatePool:
     groups: tuple[_Group, ...]
     place: tuple[tuple[int, int], ...]  # of each family: group, first variant
     tails: tuple[Tails, ...] = ()
-    crossed: dict[tuple[int, int], tuple[Array, ...]] = field(default_factory=dict, init=False, repr=False, compare=False)
+    pairs: dict[tuple[Which, Which], Array] = field(default_factory=dict, init=False, repr=False, compare=False)
+    crossed: dict[Which, tuple[Array, ...]] = field(default_factory=dict, init=False, repr=False, compare=False)
+    beside: dict[tuple[Which, int], Array] = field(default_factory=dict, init=False, repr=False, compare=False)
     bests: dict[tuple[tuple["Member", ...], int], "Best"] = field(default_factory=dict, init=False, repr=False, compare=False)
 
-    @cached_property
-    def kept(self) -> _Kept:
-        """Columns and products of members."""
-        return _Kept(len(self.y))
-
-    def among(self, members: Sequence[Member]) -> tuple[Index, Array, Array, Array]:
-        """Where members' columns are kept (r,), their sizes (r,), products (r, r) of columns times sizes with each other, and
-        (r,) with y."""
-        places, known = [self.held(m) for m in members], self.kept
-        at = np.concatenate(places)
-        sizes = np.repeat([m.size for m in members], [len(place) for place in places])
-        return at, sizes, known.squares(at) * (sizes[:, None] * sizes), sizes * known.b[at]
-
-    def held(self, member: Member) -> Index:
-        """Where a member's columns are kept (m,)."""
-        key = (member.family, member.variant)
-        if key not in self.kept.places:
-            group, rows = self.of(member.family)
-            k = rows.start + member.variant
-            self.kept.add(key, self.columns(member), group.G[k], group.b[k])
-        return self.kept.places[key]
+    def among(self, members: Sequence[Member]) -> tuple[Array, Array, Array]:
+        """Sizes (r,) of members' columns, products (r, r) of columns times sizes with each other, and (r,) with y."""
+        which, own, counts = [m[:2] for m in members], list[Array](), list[int]()
+        for m in members:
+            group, rows = self.of(m.family)
+            self.pairs.setdefault((m[:2], m[:2]), group.G[rows.start + m.variant])
+            own.append(group.b[rows.start + m.variant])
+            counts.append(group.m)
+        if not all((one, other) in self.pairs for one in which for other in which):
+            rows_of, ends = self.rows(members), np.cumsum(counts)[:-1]
+            for one, part in zip(which, np.split(rows_of @ rows_of.T, ends), strict=True):
+                self.pairs.update(((one, other), G) for other, G in zip(which, np.split(part, ends, axis=1), strict=True))
+        G = np.vstack([np.hstack([self.pairs[one, other] for other in which]) for one in which])
+        sizes = np.repeat([m.size for m in members], counts)
+        return sizes, G * (sizes[:, None] * sizes), sizes * np.concatenate(own)
 
     def join(self, there: "Given", member: Member) -> None:
         """Keep the products of a member with what is given, taken before with those of all its family's variants (`products`)."""
-        at, m = self.held(member), self.of(member.family)[0].m
-        found = self.kept.beside[member.family][0][there.at, member.variant * m : (member.variant + 1) * m]
-        self.kept.G[there.at[:, None], at], self.kept.G[at[:, None], there.at] = found, found.T
+        m = self.of(member.family)[0].m
+        for one in there.members:
+            found = self.beside[one[:2], member.family][:, member.variant * m : (member.variant + 1) * m]
+            self.pairs[one[:2], member[:2]], self.pairs[member[:2], one[:2]] = found, found.T
 
     @cached_property
     def plain(self) -> float:
@@ -164,44 +136,40 @@ class CandidatePool:
         """Projected columns (N, m) of a member in units of the priors' upper ends."""
         return self.families[member.family].columns[:, member.variant]
 
+    def rows(self, members: Sequence[Member]) -> Array:
+        """Columns of members, one below the other (r, N)."""
+        return np.vstack([np.zeros((0, len(self.y))), *(self.columns(m).T for m in members)])
+
     def products(self, there: "Given", family: int) -> Array:
         """Products (r, V k) of the columns that are given, times their sizes, with those of all variants of a family."""
-        kept, flat = self.kept, _flat(self.families[family].columns)
-        found, known = kept.beside.get(family, (np.empty((0, flat.shape[1])), np.empty(0, bool)))
-        more = len(kept.columns) - len(known)
-        if more:
-            found, known = np.vstack([found, np.empty((more, flat.shape[1]))]), np.append(known, np.zeros(more, bool))
-            kept.beside[family] = found, known
-        if not known[there.at].all():
-            group, start = self.place[family]
-            own = slice(start * self.groups[group].m, start * self.groups[group].m + flat.shape[1])
-            for m in there.members:
-                place, ready = kept.places[m.family, m.variant], self.crossed.get((m.family, m.variant))
-                found[place] = self.columns(m).T @ flat if ready is None else ready[group][:, own]
-                known[place] = True
-        return np.asarray(there.sizes[:, None] * found[there.at])
+        flat, (group, start) = _flat(self.families[family].columns), self.place[family]
+        own = slice(start * self.groups[group].m, start * self.groups[group].m + flat.shape[1])
+        for m in there.members:
+            if (m[:2], family) not in self.beside:
+                ready = self.crossed.get(m[:2])
+                self.beside[m[:2], family] = self.columns(m).T @ flat if ready is None else ready[group][:, own]
+        return np.asarray(there.sizes[:, None] * np.vstack([self.beside[m[:2], family] for m in there.members]))
 
     def look_ahead(self, members: Sequence[Member]) -> None:
         """Take the products of all members that `scan` will ask for at once: the candidates are read from memory only once."""
-        new = list({(m.family, m.variant): m for m in members if (m.family, m.variant) not in self.crossed}.values())
+        new = list({m[:2]: m for m in members if m[:2] not in self.crossed}.values())
         if not new:
             return
         parts = [self.columns(m) for m in new]
         C = np.ascontiguousarray(np.hstack(parts).T)
         ends = np.cumsum([part.shape[1] for part in parts])[:-1]
         for m, *products in zip(new, *(np.split(C @ _flat(g.X), ends) for g in self.groups), strict=True):
-            self.crossed[m.family, m.variant] = tuple(products)
+            self.crossed[m[:2]] = tuple(products)
 
 
 @dataclass(frozen=True)
 class Given:
-    """Members of a pool taken as there, with priors of fixed size; at (r,): where their columns are kept, sizes (r,); with C
-    (N, r), the columns times the sizes: turn (r, r), inverse of the lower Cholesky factor of 1 + C^T C; inner (r,): turn C^T y;
+    """Members of a pool taken as there, with priors of fixed size; sizes (r,) of their columns; with C (N, r), the columns times
+    the sizes: turn (r, r), inverse of the lower Cholesky factor of 1 + C^T C; inner (r,): turn C^T y;
     left: what remains of y^T y, log: their joint evidence over the empty set."""
 
     pool: CandidatePool = field(repr=False)
     members: tuple[Member, ...]
-    at: Index
     sizes: Array
     turn: Array
     inner: Array
@@ -211,8 +179,7 @@ class Given:
     @cached_property
     def C(self) -> Array:
         """Columns (N, r) of all members times their sizes."""
-        none = np.zeros((len(self.pool.y), 0))
-        return np.hstack([none, *(self.pool.columns(m) * m.size for m in self.members)])
+        return (self.sizes[:, None] * self.pool.rows(self.members)).T
 
     @cached_property
     def directions(self) -> tuple[Array, Array]:
@@ -225,7 +192,7 @@ class Given:
         """What the evidence has over eq. 4, where readings have tails, over nothing given."""
         if not self.pool.tails:
             return 0.0
-        rest = self.pool.y - (self.sizes * (self.turn.T @ self.inner)) @ self.pool.kept.columns[self.at]
+        rest = self.pool.y - (self.sizes * (self.turn.T @ self.inner)) @ self.pool.rows(self.members)
         return sum(t.gain(rest) for t in self.pool.tails) - self.pool.plain
 
     def after(self, rows: Array) -> Array:
@@ -275,7 +242,7 @@ def most_telling(pool: CandidatePool, held: Sequence[Member]) -> list[Family]:
     rests = [[one for one in held if one is not out] for out in held]
     for members in [rest for rest in rests if rest] + [held] * bool(held) + [()]:
         there = given(pool, members)
-        C = np.ascontiguousarray(there.C.T)
+        C = there.C.T
         for g in pool.groups:
             G, b = g.G, g.b
             if members:  # once for all: not worth laying all columns side by side
@@ -315,8 +282,8 @@ def given(pool: CandidatePool, members: Sequence[Member]) -> Given:
     """Joint evidence of members at their sizes."""
     left = float(pool.y @ pool.y)
     if not members:
-        return Given(pool, (), np.zeros(0, np.int64), np.zeros(0), np.zeros((0, 0)), np.zeros(0), left, 0.0)
-    at, sizes, G, b = pool.among(members)
+        return Given(pool, (), np.zeros(0), np.zeros((0, 0)), np.zeros(0), left, 0.0)
+    sizes, G, b = pool.among(members)
     G[np.diag_indices(len(b))] += 1.0
     turn, failed = dtrtri(dpotrf(G, lower=1, clean=1)[0], lower=1)
     if failed:
@@ -324,7 +291,7 @@ def given(pool: CandidatePool, members: Sequence[Member]) -> Given:
     inner = turn @ b
     after = max(left - float(inner @ inner), 1e-9)
     fit = 0.5 * (pool.freedom + rules.NOISE_TRUST) * np.log((rules.NOISE_TRUST + after) / (rules.NOISE_TRUST + left))
-    return Given(pool, tuple(members), at, sizes, turn, inner, after, float(float(np.log(np.diag(turn)).sum()) - fit))
+    return Given(pool, tuple(members), sizes, turn, inner, after, float(float(np.log(np.diag(turn)).sum()) - fit))
 
 
 def scan(pool: CandidatePool, there: Given) -> Scan:
@@ -332,7 +299,7 @@ def scan(pool: CandidatePool, there: Given) -> Scan:
     count = len(pool.families)
     log, variant, size = np.full(count, -np.inf), np.zeros(count, np.int64), np.ones(count)
     pool.look_ahead(there.members)
-    crossed = [(pool.crossed[m.family, m.variant], m.size) for m in there.members]
+    crossed = [(pool.crossed[m[:2]], m.size) for m in there.members]
     for k, g in enumerate(pool.groups):
         G, b = g.G, g.b
         if crossed:
