@@ -240,6 +240,11 @@ class Linearisation:
         f = self.index[name]
         return max((s for k, s in sets.items() if f in k), key=lambda s: s.log)
 
+    def signature(self, weighed: Weighed, one: Active) -> Array:
+        """Projected signature (N,) of an effect of a set at its value."""
+        m = self.member(weighed, Name(*one.key))
+        return np.asarray(self.pool.columns(m) @ (one.a / self.pool.families[m.family].scale))
+
     def values(self, weighed: Weighed) -> tuple[Active, ...]:
         """Effects of a set with their values and covariance, everything in the set fitted together, priors at the upper ends;
         in the order of their names."""

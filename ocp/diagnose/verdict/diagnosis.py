@@ -18,16 +18,7 @@ from ocp.diagnose.engine.selection import misses_far_more_than_noise, select_eff
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.diagnose.verdict.location import budget, kernel_tests, of_effect, of_group, of_kernel, of_tests, spectra
 from ocp.diagnose.verdict.patching import patches_of
-from ocp.diagnose.verdict.probabilities import (
-    Names,
-    Posterior,
-    alternatives,
-    merged,
-    posterior,
-    told_apart,
-    twins,
-    without_kernels,
-)
+from ocp.diagnose.verdict.probabilities import Names, Posterior, alternatives, classes_of, posterior, suspected, without_kernels
 from ocp.effects.effect import Active, Effect, effects_key
 from robots.errors import Infeasible
 from robots.pose import Array
@@ -129,7 +120,7 @@ def findings(
         named = ~(search.kernel | search.background)
         for key in [k for k in search.sets if names <= k or (tries >= rules.HOPELESS_FITS and named[list(k)].any())]:
             del search.sets[key]
-    signatures = [signature(problem, weighed, a) for a in active]
+    signatures = [problem.signature(weighed, a) for a in active]
     ranked = ranking(problem, search, found)
     classes = classes_of(problem, weighed, active) if active else suspected(problem, search, ranked)
     doubts = (*failed.items(), *implausible(active), *cancelling([Name(*a.key) for a in active], signatures))
@@ -182,27 +173,6 @@ def leader(problem: Linearisation, found: Posterior) -> tuple[Weighed, Names]:
     return (NOTHING, ()) if found.p_none >= together[best] else (found.best[best], best)
 
 
-def signature(problem: Linearisation, weighed: Weighed, one: Active) -> Array:
-    """Projected signature (N,) of an effect of a set at its value."""
-    m = problem.member(weighed, Name(*one.key))
-    return np.asarray(problem.pool.columns(m) @ (one.a / problem.pool.families[m.family].scale))
-
-
-def classes_of(problem: Linearisation, weighed: Weighed, active: Sequence[Active]) -> tuple[tuple[Name, ...], ...]:
-    """Classes of these effects of a set and what cannot be told from them."""
-    names = [(Name(*one.key), signature(problem, weighed, one)) for one in active]
-    return merged((name, *twins(problem, weighed, problem.member(weighed, name), d)) for name, d in names)
-
-
-def suspected(problem: Linearisation, search: Search, ranked: Sequence[Ranked]) -> tuple[tuple[Name, ...], ...]:
-    """Class of the first name of the ranking, where nothing is accepted: too weak to be sure of, it may still be measured again,
-    and that under any name of its class. Without it force world 9 of seed 7 (wheel_frame_shift, lambda 280, "ambiguous") tells no
-    class that holds the name."""
-    if not ranked or ranked[0].detectability < told_apart(ranked[0].active.effect.size):
-        return ()
-    return classes_of(problem, problem.best_with(search.sets, ranked[0].name), [ranked[0].active])
-
-
 def explanations(found: Posterior, classes: Sequence[tuple[Name, ...]]) -> tuple[Explanation, ...]:
     """By probability; sets that differ by names of one class are one, under the more probable of its names."""
     groups, p = _alike(found, classes), found.probability
@@ -226,7 +196,7 @@ def ranking(problem: Linearisation, search: Search, found: Posterior) -> tuple[R
     for name in sorted(found.marginal, key=lambda n: (found.marginal[n] < rules.LEADS, -found.gain[n]))[: rules.RANKED]:
         weighed = problem.best_with(search.sets, name)
         one = next(a for a in problem.values(weighed) if a.key == (name.effect, name.joint))
-        d = signature(problem, weighed, one)
+        d = problem.signature(weighed, one)
         ranked.append(Ranked(name, min(found.marginal[name], 1.0), found.gain[name], one, float(d @ d)))
     ranked.sort(key=lambda r: (-round(r.probability, 2), -r.detectability if r.probability > rules.LEADS else 0.0))
     return tuple(ranked)
