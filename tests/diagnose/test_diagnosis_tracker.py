@@ -11,7 +11,7 @@ from ocp.diagnose.engine.linearisation import linearised
 from ocp.diagnose.rules import LINES_A_GEAR, QUIET
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.diagnose.tracker.held_out import placed_stands, tracker_folds
-from ocp.diagnose.tracker.refit import believed_baseline, linearise_with, placed_readings, points_with, reliability, settled
+from ocp.diagnose.tracker.refit import believed_baseline, reliability, settled
 from ocp.diagnose.tracker.weights import link_torques, weighed_links
 from ocp.diagnose.verdict import diagnosis
 from ocp.diagnose.verdict.diagnosis import _scattering, cancelling, diagnose_channels, implausible
@@ -172,15 +172,15 @@ def test_weights_bend_what_a_named_effect_lets_give():
     c, spring = channel(readings), LIBRARY["joint_compliance"]
     active = (Active(spring, 2, np.array([1.0]), {"unit": 1e-6}, np.eye(1)),)
     state, layout = c.fit.state, c.task.layout
-    J = linearise_with(c.task, state, active)[0].J[:, :3]
+    J = c.task.linearised(state, active)[0].J[:, :3]
     for at in (*layout.links[:2], *layout.payload[:, 0]):
         if at >= 0:
             step = np.zeros(layout.size)
             step[at] = 0.1 * layout.prior_sd[at]
-            ends = [points_with(c.task, moved(layout, state, side * step), active) for side in (1.0, -1.0)]
+            ends = [c.task.points(moved(layout, state, side * step), active) for side in (1.0, -1.0)]
             slope = (ends[0] - ends[1]) / (2.0 * step[at])
             np.testing.assert_allclose(J[:, :, at], slope, atol=0.01 * np.abs(slope).max())
-    bare, torques = linearise_with(c.task, state, ())[0], link_torques(ROBOT, readings.q)
+    bare, torques = c.task.linearised(state, ())[0], link_torques(ROBOT, readings.q)
     more = bare.d_joints[:, :, 1, None] * 1e-6 * torques[:, None, 1]
     found = (J - bare.J[:, :3])[:, :, layout.links]
     np.testing.assert_allclose(found, more, atol=0.01 * np.abs(more).max())  # d_joints are those of another sag
@@ -192,7 +192,7 @@ def test_what_one_effect_gives_under_another_counts_once_and_is_in_both_derivati
     heavier = {"payload": readings.payloads[0]}
     both = (Active(spring, 2, np.array([1.0]), {"unit": 1e-6}, np.eye(1)), Active(mass, 0, np.array([9.0]), heavier, np.eye(1)))
     c = channel(readings)
-    seen = placed_readings(c.task, c.fit.state, both)
+    seen = c.task.placed(c.fit.state, both)
     parts, shift, _ = together(both, seen)
     for rows, _, arm in seen.bare_groups:
         np.testing.assert_allclose(shift[rows], arm_shift(both, arm).joints[0, :, :, 0], atol=1e-9)
@@ -201,7 +201,7 @@ def test_what_one_effect_gives_under_another_counts_once_and_is_in_both_derivati
         ends = []
         for side in (1.0, -1.0):
             near = tuple(replace(a, a=a.a + side * step) if a is one else a for a in both)
-            ends.append(together(near, placed_readings(c.task, c.fit.state, near))[1])
+            ends.append(together(near, c.task.placed(c.fit.state, near))[1])
         np.testing.assert_allclose(parts[k][:, :6, 0], (ends[0] - ends[1]) / (2.0 * step), rtol=1e-4, atol=1e-9)
     # A name that is not yet accepted is seen as what is accepted lets it bend.
     columns = [one.variants(mass, 0, [heavier])[1] for one in (c, replace(c, fit=replace(c.fit, active=both[:1])))]
@@ -349,10 +349,9 @@ def test_columns_are_derivatives_of_the_nonlinear_prediction():
         e = LIBRARY[name]
         scans, columns = c.variants(e, joint)
         step = 1e-2 * np.asarray(e.prior_sd)
-        from ocp.diagnose.tracker.refit import linearise_with
 
         one = Active(e, joint, step, scans[-1], np.eye(len(step)))
-        there, _ = linearise_with(c.task, c.fit.state, (one,))
+        there, _ = c.task.linearised(c.fit.state, (one,))
         moved = np.einsum("nij,nj->ni", c.fit.W, c.fit.linear.residual - there.residual).ravel()
         np.testing.assert_allclose(moved, columns[:, -1] @ step, atol=2e-3 * max(np.abs(moved).max(), 1e-3))
 
@@ -365,9 +364,8 @@ def test_linear_folds_are_as_good_as_nonlinear_refits():
     quick = c.held_out(fold, c.active)
     left = replace(c.task, campaign=replace(c.task.campaign, readings=readings.take(~fold.held)))
     fit = settled(left, c.fit)
-    from ocp.diagnose.tracker.refit import linearise_with
 
-    there, _ = linearise_with(c.task, fit.state, fit.active)
+    there, _ = c.task.linearised(fit.state, fit.active)
     slow = np.mean(np.sum(there.residual[fold.held] ** 2, axis=1))
     assert quick is not None and np.sqrt(quick.after) == pytest.approx(np.sqrt(slow), abs=2e-6)
     assert quick.before > 2 * quick.after

@@ -17,7 +17,6 @@ from ocp.diagnose.engine.search import outliers
 from ocp.diagnose.foresee.planned_tracker import channel_about
 from ocp.diagnose.rules import LATER, LATER_WARMTHS, LEAST_WARMTH
 from ocp.diagnose.tracker.channel import TrackerChannel
-from ocp.diagnose.tracker.refit import points_with
 from ocp.diagnose.verdict.answer import SignalGap
 from ocp.diagnose.verdict.patching import seen_by, unfaded
 from ocp.diagnose.verdict.remaining import Remaining, remaining
@@ -216,7 +215,7 @@ def _group(before: TrackerChannel, models: Sequence[TrackerChannel], new: Readin
 def _placed(channel: TrackerChannel, new: Readings) -> Array:
     """Where a channel's fit predicts the reflectors of readings `new`, (n, 3) m."""
     task = replace(channel.task, campaign=replace(channel.task.campaign, readings=new))
-    return points_with(task, channel.fit.state, channel.fit.active)
+    return task.points(channel.fit.state, channel.fit.active)
 
 
 def _warmths(readings: Readings) -> list[float | None]:

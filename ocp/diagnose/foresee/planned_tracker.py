@@ -7,7 +7,7 @@ import numpy as np
 from ocp.diagnose.force.prior import posterior_of
 from ocp.diagnose.foresee.separation import ProposedMeasurement
 from ocp.diagnose.tracker.channel import TrackerChannel
-from ocp.diagnose.tracker.refit import RANK, Task, TrackerFit, linearise_with, with_weights
+from ocp.diagnose.tracker.refit import RANK, Task, TrackerFit, with_weights
 from ocp.model.cell import TrackerSetup
 from robots.calibration.layout import Choice, Priors, build_layout, nominal_state
 from robots.calibration.noise import Noise, reading_covariance, whitener
@@ -40,7 +40,7 @@ def channel_about(channel: TrackerChannel, readings: Readings) -> TrackerChannel
     """The channel that planned readings would make about the present fit: sensitivities, columns, noise. Its residual is zero:
     nobody has measured."""
     task = replace(channel.task, campaign=replace(channel.task.campaign, readings=readings))
-    linear, extra = linearise_with(task, channel.fit.state, channel.fit.active)
+    linear, extra = task.linearised(channel.fit.state, channel.fit.active)
     readings = replace(readings, point=linear.point)
     task = replace(task, campaign=replace(task.campaign, readings=readings))
     W = whitener(reading_covariance(readings, task.campaign.instrument, channel.fit.noise, linear.d_joints))
@@ -175,11 +175,8 @@ def planned_channel(setup: TrackerSetup, readings: Readings) -> TrackerChannel:
     stations[:, :3, 3] = -TRACKER_AT
     start = replace(start, stations=stations, links=np.zeros(len(layout.links)))
     task = Task(campaign, layout, start, setup.tables.reference_temperature_C, None)
-    linear, extra = linearise_with(task, start, ())
-    n = len(readings)
-    W = np.broadcast_to(np.eye(3), (n, 3, 3))
-    none = np.zeros((layout.size, layout.size))
-    fit = TrackerFit(start, np.zeros(layout.size), (), linear, extra, W, np.ones(n), Noise(), none)
+    none = np.zeros((layout.size, layout.size))  # what `channel_about` makes anew
+    fit = TrackerFit(start, np.zeros(layout.size), (), *task.linearised(start, ()), none, none, Noise(), none)
     return channel_about(TrackerChannel(task, fit), campaign.readings)
 
 

@@ -11,17 +11,7 @@ from ocp.diagnose.engine.channel_system import UNSEEN, Fold, HeldOut, ReadingCon
 from ocp.diagnose.rules import BACKGROUND_SIZES, LEAST_CHANGES, LEAST_GROUP, PLACE_SURE, UNEVEN
 from ocp.diagnose.tracker.background import Background, background
 from ocp.diagnose.tracker.held_out import held_out_readings, predict_sealed_readings, tracker_folds
-from ocp.diagnose.tracker.refit import (
-    Task,
-    TrackerFit,
-    gap_noise,
-    is_restless,
-    linearise_with,
-    placed_readings,
-    refit,
-    relearned,
-    settled,
-)
+from ocp.diagnose.tracker.refit import Task, TrackerFit, gap_noise, is_restless, refit, relearned, settled
 from ocp.effects.effect import Active, Effect, Scanned, Surroundings, effects_key, scan_key
 from ocp.effects.engine.readings import COLUMNS, PlacedReadings, by_readings, displaced, motion
 from ocp.effects.motor_harmonic import ratios_of
@@ -59,7 +49,7 @@ class TrackerChannel:
     @cached_property
     def seen(self) -> PlacedReadings:
         """Readings as effects see them."""
-        return placed_readings(self.task, self.fit.state, (*self.task.believed, *self.fit.active), self.fit.linear.point)
+        return self.task.placed(self.fit.state, (*self.task.believed, *self.fit.active), self.fit.linear.point)
 
     @property
     def active(self) -> tuple[Active, ...]:
@@ -226,7 +216,7 @@ class TrackerChannel:
     @cached_property
     def _bare(self) -> Array:
         """Derivatives (n, 3, p) in the arm's unknowns without what the active effects let give."""
-        return linearise_with(self.task, self.fit.state, ())[0].J if self.active else self.fit.linear.J
+        return self.task.linearised(self.fit.state, ())[0].J if self.active else self.fit.linear.J
 
     @property
     def reference(self) -> float:

@@ -13,7 +13,7 @@ from scipy.cluster.vq import kmeans2
 
 from ocp.diagnose.engine.channel_system import Fold, HeldOut, Predictable, Sealed, is_outlier, predictable
 from ocp.diagnose.rules import FOLD_REST, FOLD_TIME, FOLD_WARMTH, LEAST_TURN
-from ocp.diagnose.tracker.refit import RANK, Task, TrackerFit, gap_noise, linearise_with, placed_readings
+from ocp.diagnose.tracker.refit import RANK, Task, TrackerFit, gap_noise
 from ocp.effects.effect import Active, prior_sds
 from ocp.effects.engine.readings import PlacedReadings, has_columns, together
 from robots.calibration.noise import reading_covariance
@@ -102,12 +102,10 @@ def placed_stands(task: Task, fit: TrackerFit, errors: Array, own: Sequence[Inde
 
 def added(active: Sequence[Active], seen: PlacedReadings, fit: TrackerFit) -> tuple[Array, Array]:
     """Columns (n, 3, m) m of effects about the fit, and what they add (n, 3) m at their values."""
-    n = len(seen.readings)
-    if not active:
-        return np.zeros((n, 3, 0)), np.zeros((n, 3))
-    parts, _, _ = together(active, seen)
-    columns = [fit.linear.d_joints @ p[:, :6] + p[:, 6:] for p in parts]
-    return np.concatenate(columns, axis=2), sum(c @ a.a for c, a in zip(columns, active, strict=True))  # type: ignore[return-value]
+    none = np.zeros((len(seen.readings), 3))
+    columns = [fit.linear.d_joints @ p[:, :6] + p[:, 6:] for p in together(active, seen)[0]]
+    total = sum((c @ a.a for c, a in zip(columns, active, strict=True)), none)
+    return np.concatenate(columns, axis=2) if columns else np.zeros((*none.shape, 0)), total
 
 
 def _solved(task: Task, fit: TrackerFit, residual: Array, J: Array, prior: Array, train: Array) -> tuple[Array, Array]:
@@ -134,7 +132,7 @@ def predict_sealed_readings(
     seen = replace(sealed, turn=None, sigma_turn=None, point=np.nan_to_num(sealed.point))
     baseline = _points(*before, seen, lasting, Predictable((), (), np.zeros(0, np.int64)))[0]
     corrected, covariance = _points(task, fit, seen, lasting, parted)
-    there = placed_readings(task, fit.state, (*task.believed, *fit.active))
+    there = task.placed(fit.state, (*task.believed, *fit.active))
     usual = np.mean(added(parted.unknown, there, fit)[1] ** 2, axis=0)
     sigma = np.sqrt(np.maximum(np.einsum("nii->ni", covariance), 0.0) + usual)
     return Sealed(baseline, corrected, sigma, parted.lacking)
@@ -154,7 +152,7 @@ def _points(task: Task, fit: TrackerFit, sealed: Readings, lasting: Array, parte
     place = points(c.robot, sealed, c.instrument, fit.state)
     believed = _predictable(task.believed, sealed).known
     asked = replace(task, campaign=replace(c, readings=replace(sealed, point=place)), believed=believed)
-    linear, extra = linearise_with(asked, fit.state, parted.known)
+    linear, extra = asked.linearised(fit.state, parted.known)
     J = np.concatenate([linear.J, extra], axis=2)
     own = linear.J.shape[2]
     keep = np.r_[np.arange(own), own + parted.kept]

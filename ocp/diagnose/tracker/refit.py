@@ -45,6 +45,7 @@ from robots.calibration.student_t import GROSS
 from robots.gauss_newton import Rule, minimise
 from robots.gravity import weight_torques
 from robots.pose import Array
+from robots.tracker_readings import Readings
 
 STEPS = 8
 SETTLED = 0.01  # of one posterior sd, of each unknown
@@ -112,11 +113,57 @@ class Task:
         """Of the links at the readings' postures (`link_torques`)."""
         return link_torques(self.campaign.robot, self.campaign.readings.q)
 
+    def linearised(self, state: State, active: tuple[Active, ...]) -> tuple[Linearised, Array]:
+        """Residuals about state and effects, and the effects' columns (n, 3, m)."""
+        c = self.campaign
+        parts, turned, displacement, sag, more = self._moved(state, active)
+        linear = linearise(c.robot, turned, c.instrument, self.layout, state)
+        linear.J[:, :3, self.layout.links] = linear.d_joints @ sag
+        self._hang_heavier(state, more, linear)
+        linear = replace(linear, residual=linear.residual - displacement, point=linear.point + displacement)
+        columns = [linear.d_joints @ p[:, :6] + p[:, 6:] for p in parts[len(self.believed) :]]
+        return linear, np.concatenate(columns, axis=2) if active else np.zeros((len(turned), 3, 0))
+
+    def points(self, state: State, active: tuple[Active, ...]) -> Array:
+        """Predicted reflectors (n, 3) m alone, as `linearised` gives them."""
+        _, turned, displacement, *_ = self._moved(state, active)
+        return points(self.campaign.robot, turned, self.campaign.instrument, state) + displacement
+
+    def placed(self, state: State, active: Sequence[Active], point: Array | None = None) -> PlacedReadings:
+        """The readings about a state and the effects that act there; point (n, 3) m: their reflectors, as measured by default."""
+        c = self.campaign
+        point = c.readings.point if point is None else point
+        return PlacedReadings(c.robot, c.readings, c.instrument, state, point, self.reference, self.start.arm[30:], tuple(active))
+
+    def _moved(self, state: State, active: tuple[Active, ...]) -> tuple[list[Array], Readings, Array, Array, Array]:
+        """Of believed and active effects `together`: derivatives of each, the readings with joints turned by effects and by what
+        the links' weights are off, displacement (n, 3) m; by how much the joints bend (n, 6, w) rad per unit of such a weight, to
+        first order, through springs and effects; what the effects let joints give (n, 6) rad/(N m)."""
+        readings, whole = self.campaign.readings, (*self.believed, *active)
+        n, parts = len(readings), list[Array]()
+        shift, displacement, more = np.zeros((n, 6)), np.zeros((n, 3)), np.zeros((n, 6))
+        if whole:
+            seen = self.placed(state, whole)
+            (parts, shift, displacement), more = together(whole, seen), seen.more[1]
+        sag = (np.clip(state.arm[30:], 0.0, None) + more)[:, :, None] * self.link_torques
+        return parts, replace(readings, q=readings.q + shift + sag @ state.links), displacement, sag, more
+
+    def _hang_heavier(self, state: State, more: Array, linear: Linearised) -> None:
+        """Adds to the payloads' columns what their masses bend through effects (`more`): the arm's own derivative has the
+        springs."""
+        c = self.campaign
+        for k, at in enumerate(self.layout.payload[:, 0]):
+            rows = np.flatnonzero(c.readings.payload == k)
+            if at >= 0 and len(rows):
+                q, centre = c.readings.q[rows], state.payloads[k, 1:]
+                each = weight_torques(c.robot, q, 1.0, centre) - weight_torques(c.robot, q)
+                linear.J[rows, :3, at] += np.einsum("nij,nj->ni", linear.d_joints[rows], more[rows] * each)
+
 
 def refit(task: Task, state: State, offset: Array, active: Sequence[Active], noise: Noise) -> TrackerFit:
     """Fit from `state` and the active effects' values, the joint noise with it."""
     begun, none = tuple(active), np.zeros(0)
-    found = _rested(task, TrackerFit(state, offset, begun, *linearise_with(task, state, begun), none, none, noise, none))
+    found = _rested(task, TrackerFit(state, offset, begun, *task.linearised(state, begun), none, none, noise, none))
     for _ in range(3):
         used = freedom_used(task.layout, found)
         off = found.linear.residual
@@ -132,7 +179,7 @@ def refit(task: Task, state: State, offset: Array, active: Sequence[Active], noi
 
 def settled(task: Task, fit: TrackerFit) -> TrackerFit:
     """`fit` brought to rest with the priors and readings of `task`; its joint noise stays."""
-    linear, extra = linearise_with(task, fit.state, fit.active)
+    linear, extra = task.linearised(fit.state, fit.active)
     return _rested(task, replace(fit, linear=linear, extra=extra))
 
 
@@ -151,61 +198,6 @@ def freedom_used(layout: Layout, fit: TrackerFit) -> float:
     """Degrees of freedom that the readings, not the priors, take up."""
     prior = np.concatenate([layout.prior_sd, prior_sds(fit.active)])
     return float(np.sum(1.0 - np.diag(fit.covariance) / prior**2))
-
-
-def linearise_with(task: Task, state: State, active: tuple[Active, ...]) -> tuple[Linearised, Array]:
-    """Residuals about state and effects, and the effects' columns (n, 3, m)."""
-    c = task.campaign
-    n = len(c.readings)
-    parts, shift, displacement, more = _moved(task, state, (*task.believed, *active))
-    sag = link_sag(task, state, more)
-    turned = replace(c.readings, q=c.readings.q + shift + sag @ state.links)
-    linear = linearise(c.robot, turned, c.instrument, task.layout, state)
-    linear.J[:, :3, task.layout.links] = linear.d_joints @ sag
-    _hang_heavier(task, state, more, linear)
-    linear = replace(linear, residual=linear.residual - displacement, point=linear.point + displacement)
-    columns = [linear.d_joints @ p[:, :6] + p[:, 6:] for p in parts[len(task.believed) :]]
-    extra = np.concatenate(columns, axis=2) if active else np.zeros((n, 3, 0))
-    return linear, extra
-
-
-def points_with(task: Task, state: State, active: tuple[Active, ...]) -> Array:
-    """Predicted reflectors (n, 3) m alone, as `linearise_with` gives them."""
-    c = task.campaign
-    _, shift, displacement, more = _moved(task, state, (*task.believed, *active))
-    turned = replace(c.readings, q=c.readings.q + shift + link_sag(task, state, more) @ state.links)
-    return points(c.robot, turned, c.instrument, state) + displacement
-
-
-def _moved(task: Task, state: State, whole: tuple[Active, ...]) -> tuple[list[Array], Array, Array, Array]:
-    """`together` of the task's readings, and by how much the effects let joints give (n, 6) rad/(N m); nothing where there are
-    none."""
-    n = len(task.campaign.readings)
-    if not whole:
-        return [], np.zeros((n, 6)), np.zeros((n, 3)), np.zeros((n, 6))
-    seen = placed_readings(task, state, whole)
-    return *together(whole, seen), seen.more[1]
-
-
-def link_sag(task: Task, state: State, more: Array) -> Array:
-    """By how much the joints bend (n, 6, w) rad per unit of what the links' weights are off, to first order, through springs and
-    effects (`more` (n, 6) rad/(N m))."""
-    c = task.campaign
-    if not len(task.layout.links):
-        return np.zeros((len(c.readings), 6, 0))
-    springs = np.clip(state.arm[30:], 0.0, None) + more
-    return np.asarray(springs[:, :, None] * task.link_torques)
-
-
-def _hang_heavier(task: Task, state: State, more: Array, linear: Linearised) -> None:
-    """Adds to the payloads' columns what their masses bend through effects (`more`): the arm's own derivative has the springs."""
-    c = task.campaign
-    for k, at in enumerate(task.layout.payload[:, 0]):
-        rows = np.flatnonzero(c.readings.payload == k)
-        if at >= 0 and len(rows):
-            q, centre = c.readings.q[rows], state.payloads[k, 1:]
-            each = weight_torques(c.robot, q, 1.0, centre) - weight_torques(c.robot, q)
-            linear.J[rows, :3, at] += np.einsum("nij,nj->ni", linear.d_joints[rows], more[rows] * each)
 
 
 def with_weights(layout: Layout, campaign: Campaign) -> Layout:
@@ -230,13 +222,6 @@ def with_weights(layout: Layout, campaign: Campaign) -> Layout:
         payload=payload,
         links=np.asarray(layout.size + np.arange(len(listed)), int),
     )
-
-
-def placed_readings(task: Task, state: State, active: Sequence[Active], point: Array | None = None) -> PlacedReadings:
-    """The readings about a state and the effects that act there; point (n, 3) m: their reflectors, as measured by default."""
-    c = task.campaign
-    point = c.readings.point if point is None else point
-    return PlacedReadings(c.robot, c.readings, c.instrument, state, point, task.reference, task.start.arm[30:], tuple(active))
 
 
 @dataclass(frozen=True)
@@ -279,7 +264,7 @@ class _Point:
         step, size, fit = self.scale * change, self.task.layout.size, self.fit
         state = moved(self.task.layout, fit.state, step[:size])
         active = with_coefficients(fit.active, coefficients(fit.active) + step[size:])
-        linear, extra = linearise_with(self.task, state, active)
+        linear, extra = self.task.linearised(state, active)
         offset = fit.offset + step[:size]
         return replace(self, fit=replace(fit, state=state, offset=offset, active=active, linear=linear, extra=extra))
 
