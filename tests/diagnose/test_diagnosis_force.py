@@ -21,13 +21,7 @@ from ocp.diagnose.force import prediction
 from ocp.diagnose.force.channel import ForceChannel, force_channel, problem_of
 from ocp.diagnose.force.fit import ForceProblem, fit_effects
 from ocp.diagnose.force.logged_contact import PLACE, hook_columns
-from ocp.diagnose.force.prediction import (
-    acts_by_force,
-    effect_derivatives,
-    force_derivatives,
-    nuisance_derivatives,
-    predict_forces,
-)
+from ocp.diagnose.force.prediction import acts_by_force, effect_derivatives, nuisance_derivatives, predict_forces
 from ocp.diagnose.force.prior import contact_prior, with_setpoints_read_off
 from ocp.diagnose.foresee.anticipated import signal_gap
 from ocp.diagnose.foresee.patched import beside_unknown, patched, unnamed, with_patch
@@ -178,7 +172,7 @@ def test_columns_are_what_the_refitted_balance_does(made, name):
 def test_slopes_are_those_of_the_force(made):
     channel = made.channel
     scene, at = channel.problem.scene, channel.fit.at
-    theta, joints = force_derivatives(scene, at)
+    theta, joints = scene.slopes(at)
     rows = scene.touching[::50]
     sd = np.sqrt(np.sum(channel.problem.believed.root**2, axis=1))
     for i in np.flatnonzero(sd[: theta.shape[1]] > 0)[::2]:
@@ -462,7 +456,7 @@ def test_friction_follows_the_setpoint_and_the_stroke_follows_the_force(made, mo
     step = h * np.eye(len(x))[setpoint]
     at = predict_forces(scene, x, held, fit.at)
     ends = [predict_forces(scene, x + sign * step, held, at) for sign in (1.0, -1.0)]
-    slopes = force_derivatives(scene, at)
+    slopes = scene.slopes(at)
     told = nuisance_derivatives(scene, at, slopes[0])[0][:, setpoint]
     rows = scene.touching
     differences = (ends[0].fn - ends[1].fn)[rows] / (2 * h)

@@ -12,14 +12,7 @@ import numpy as np
 from ocp.calibrate.force.fit import RunOffsets
 from ocp.calibrate.force.log import ForceLog
 from ocp.calibrate.force.noise import Whitener, channel_of
-from ocp.diagnose.force.prediction import (
-    LogScene,
-    Predicted,
-    effect_derivatives,
-    force_derivatives,
-    nuisance_derivatives,
-    predict_forces,
-)
+from ocp.diagnose.force.prediction import LogScene, Predicted, effect_derivatives, nuisance_derivatives, predict_forces
 from ocp.diagnose.force.prior import NuisancePrior
 from ocp.diagnose.rules import RUN_SD
 from ocp.effects.effect import Active, coefficients, effects_key, prior_sds, with_coefficients
@@ -133,7 +126,7 @@ class EffectFit(Linear):
 
 def linear(problem: ForceProblem, z: Array, at: Predicted, whiteners: tuple[Whitener, ...]) -> Linear:
     """Linearise."""
-    slopes = force_derivatives(problem.scene, at)
+    slopes = problem.scene.slopes(at)
     columns = _columns(problem, problem.scene, at, slopes, problem.offsets)
     rest = problem.residuals(at, z)
     both = np.concatenate([w.whole(np.column_stack([r, c])) for w, r, c in zip(whiteners, rest, columns, strict=False)])
@@ -144,7 +137,7 @@ def linear(problem: ForceProblem, z: Array, at: Predicted, whiteners: tuple[Whit
 
 def linear_normal(problem: ForceProblem, scene: LogScene, at: Predicted) -> Array:
     """Sensitivities (n, k) N of fn in other rows to the unknowns, those of the runs left out."""
-    return _columns(problem, scene, at, force_derivatives(scene, at), problem.offsets.none(len(at.F)))[0]
+    return _columns(problem, scene, at, scene.slopes(at), problem.offsets.none(len(at.F)))[0]
 
 
 def _columns(problem: ForceProblem, scene: LogScene, at: Predicted, slopes: tuple[Array, Array], own: RunOffsets) -> Array:

@@ -69,6 +69,16 @@ class LogScene:
         """Tangential force (n,) per newton of normal force as the cell believes: friction with the belt's sign."""
         return np.asarray(self.cell.wheel.friction * self.rows.belt)
 
+    def slopes(self, at: "Predicted") -> tuple[Array, Array]:
+        """Contact force's derivatives of all rows: in theta (n, M) and in the joints (n, 6), zero in the air."""
+        n, rows = len(self.rows), self.touching
+        theta, joints = np.zeros((n, M)), np.zeros((n, 6))
+        held = np.maximum(at.F[rows], self.model.least_force)
+        values = self.model.evaluate("derivative", PlacedRows(at.rows.base, at.rows.theta), held)
+        scaled = at.stiffness[rows, None] * values
+        theta[rows], joints[rows] = scaled[:, 1 : 1 + M], scaled[:, 1 + M :]
+        return theta, joints
+
 
 @dataclass(frozen=True)
 class Predicted:
@@ -216,17 +226,6 @@ def _own(scene: LogScene, x: Array, F: Array) -> Array:
     return np.stack([F + x[BIAS], scene.shear * F * (1.0 + x[SHEAR_GAIN]) + x[SHEAR_BIAS]])
 
 
-def force_derivatives(scene: LogScene, at: Predicted) -> tuple[Array, Array]:
-    """Contact force's derivatives of all rows: in theta (n, M) and in the joints (n, 6), zero in the air."""
-    n, rows = len(scene.rows), scene.touching
-    theta, joints = np.zeros((n, M)), np.zeros((n, 6))
-    held = np.maximum(at.F[rows], scene.model.least_force)
-    values = scene.model.evaluate("derivative", PlacedRows(at.rows.base, at.rows.theta), held)
-    scaled = at.stiffness[rows, None] * values
-    theta[rows], joints[rows] = scaled[:, 1 : 1 + M], scaled[:, 1 + M :]
-    return theta, joints
-
-
 def nuisance_derivatives(scene: LogScene, at: Predicted, theta: Array) -> Array:
     """Derivatives (2, n, len(NUISANCE)) of fn and ft in the nuisance; theta (n, M): those of the force."""
     force = np.zeros((len(at.F), len(NUISANCE)))
@@ -251,7 +250,7 @@ def effect_derivatives(
     scene: LogScene, at: Predicted, slopes: tuple[Array, Array], effect: Effect, joint: int, scans: Sequence[Scanned]
 ) -> Array | None:
     """Change (2, V, n, m) N of fn and ft per unit coefficient of each variant; None where the log does not say what the effect
-    depends on. `slopes`: of `force_derivatives`."""
+    depends on. `slopes`: of the scene."""
     force = force_changes(scene, at, slopes, effect, joint, scans)
     out = at.slope[:, :, None, None] * force
     for reading, hook in zip(out, HOOKS, strict=True):
