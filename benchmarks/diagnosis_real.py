@@ -125,7 +125,7 @@ def answer_part(folder: Path) -> None:
     print(f"* gap {rms[0]:.4f} -> {rms[1]:.4f} {gap.unit} rms, noise {gap.noise_floor:.4f}; shrinkage predicted {sure}")
     blocks = [h for h in d.held_out.get(gap.name, ()) if h.fold.kind == "block"]
     for h in blocks:
-        before, after = (SCALE[gap.unit] * np.sqrt(x) for x in (h.before, h.after))
+        before, after = (SCALE[gap.unit] * np.sqrt(x) for x in h.means[:2])
         print(f"  {h.fold.name} left out: {before:.4g} -> {after:.4g} {gap.unit}")
     if isinstance(gap.baseline, TrackerChannel):
         print("* blocks left out: shrinkage {:.2f} ({:.2f} to {:.2f})".format(*blocked(blocks, gap.baseline)))
@@ -160,9 +160,11 @@ def terms_part(name: str, channel: TrackerChannel) -> None:
     for spec in TERMS[name]:
         fitted = channel.with_active(effects(spec, channel))
         held = [h for h in (fitted.held_out(f, fitted.active) for f in fitted.folds()) if h is not None]
-        first = first or {h.fold.name: h.after for h in held}
-        kinds = [1e3 * np.sqrt(np.mean([h.after for h in held if h.fold.kind == k])) for k in ("random", "block", "joint range")]
-        ratio, there = max((float(np.sqrt(h.after / first[h.fold.name])), h.fold.name) for h in held)
+        first = first or {h.fold.name: h.means[1] for h in held}
+        kinds = [
+            1e3 * np.sqrt(np.mean([h.means[1] for h in held if h.fold.kind == k])) for k in ("random", "block", "joint range")
+        ]
+        ratio, there = max((float(np.sqrt(h.means[1] / first[h.fold.name])), h.fold.name) for h in held)
         rms = 1e3 * np.sqrt(np.mean(np.sum(fitted.gap() ** 2, axis=1)))
         cells = " | ".join(f"{x:.3f}" for x in (rms, *kinds))
         what = "; ".join(map(told, fitted.active)) or "none"

@@ -78,7 +78,7 @@ def test_held_out_time_blocks_judge_the_delay(tmp_path):
     channel = channel_of(tmp_path, seed=2, delay=5e-3)
     found = channel.with_active((fresh("channel_delay", 0),))
     judged = [found.held_out(f, found.active) for f in found.folds() if f.kind == "block"]
-    assert len(judged) == 5 and all(h is not None and h.after < 0.01 * h.before for h in judged)
+    assert len(judged) == 5 and all(h is not None and h.means[1] < 0.01 * h.means[0] for h in judged)
 
 
 @pytest.mark.parametrize(
@@ -120,7 +120,7 @@ def held(before: float, after: float, kind: str = "random", n: int = 400, seed: 
 def test_shrinkage_is_predicted_with_its_chance():
     fold = held(25.0, 1.0)
     found = from_folds([fold], 0.01)
-    assert found.predicted == pytest.approx(realised(fold.before, fold.after, fold.noise), abs=0.01)
+    assert found.predicted == pytest.approx(realised(*fold.means), abs=0.01)
     assert found.low < found.predicted < found.high and 0.02 < found.high - found.low < 0.1
     # Nothing is left to see, yet the parameters' own errors remain.
     assert from_folds([held(25.0, 0.0, seed=1)], 0.25).high < 0.91

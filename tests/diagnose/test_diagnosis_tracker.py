@@ -214,7 +214,7 @@ def test_a_fold_without_names_is_that_of_the_believed_arm_refitted():
     named = rigid.with_active((Active(LIBRARY["joint_compliance"], 2, np.array([0.2]), {"unit": 1e-6}, np.eye(1)),))
     for fold in rigid.folds():
         found, expected = named.held_out(fold, named.active), rigid.held_out(fold, ())
-        assert 0.75 < np.sqrt(found.before / expected.before) < 1.3, fold.name
+        assert 0.75 < np.sqrt(found.means[0] / expected.means[0]) < 1.3, fold.name
         assert found.after < 0.1 * found.before
 
 
@@ -247,7 +247,7 @@ def test_what_no_repeatability_scatters_is_in_the_sigma():
     c, new = channel(readings), replace(campaign_readings(np.random.default_rng(9), 60), time=None, temperature=None)
     sealed = c.predict(new, ())
     levers = np.sum(c.fit.linear.d_joints**2, axis=(0, 1))
-    assert c.restless(1.0) and c.background.mean @ levers / levers.sum() < c.fit.noise.joints**2
+    assert c.restless(1.0) and c.background.draws.mean(axis=0) @ levers / levers.sum() < c.fit.noise.joints**2
     assert 0.8 < np.sqrt(np.mean(((sealed.baseline - points(new)) / sealed.sigma) ** 2)) < 1.25
 
 

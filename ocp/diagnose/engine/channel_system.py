@@ -137,9 +137,9 @@ class Fold:
 @dataclass(frozen=True)
 class HeldOut:
     """Squares (3, r) of the gap of each of the held readings (SI^2: m^2 for 3D errors, N^2, rad^2): before and after the effects,
-    everything refitted on the rest, and what noise alone gives; before, after, noise: their means. estimation: mean square that
-    the effects' own errors of estimation add to `after`; shared: one sd of `before` less `after` that comes from what the
-    believed cell is off by in all of the held readings."""
+    everything refitted on the rest, and what noise alone gives. estimation: mean square that the effects' own errors of
+    estimation add after them; shared: one sd of the means before less after that comes from what the believed cell is off by in
+    all of the held readings."""
 
     fold: Fold
     rows: Array
@@ -147,19 +147,9 @@ class HeldOut:
     shared: float = 0.0
 
     @property
-    def before(self) -> float:
-        """Mean square before the effects."""
-        return float(self.rows[0].mean())
-
-    @property
-    def after(self) -> float:
-        """Mean square with the effects."""
-        return float(self.rows[1].mean())
-
-    @property
-    def noise(self) -> float:
-        """Mean square of noise alone."""
-        return float(self.rows[2].mean())
+    def means(self) -> tuple[float, ...]:
+        """Mean squares before the effects, with them, and of noise alone."""
+        return tuple(float(row.mean()) for row in self.rows)
 
 
 @dataclass(frozen=True)

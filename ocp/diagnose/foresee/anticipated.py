@@ -49,9 +49,7 @@ def signal_gap(diagnosis: Diagnosis, before: Channel, after: Channel, sealed: An
     kept = counted(after)
     sizes = [scale * np.linalg.norm(np.atleast_2d(c.gap()), axis=1)[kept] for c in (before, after)]
     held = diagnosis.held_out.get(before.name, ())
-    told = tuple(
-        (h.fold.name, realised(h.before, h.after, h.noise) if diagnosis.active else None) for h in held if h.fold.extrapolates
-    )
+    told = tuple((h.fold.name, realised(*h.means) if diagnosis.active else None) for h in held if h.fold.extrapolates)
     shown = tuple(a.key for a in diagnosis.active if shows(after, a))
     shrinkage, asked = _shrinkage(diagnosis, before, after, held, float(np.mean(sizes[0] ** 2)), sealed, bool(shown))
     promise = {} if shrinkage in (None, NONE) else _by_kind(after, held, shrinkage)
@@ -93,7 +91,7 @@ def _shrinkage(
         others = seen_by(after.name, _what_may_be(diagnosis) if of_arm else diagnosis.alternatives)
         return modelled(before, after, others, held, diagnosis.p_beside, None, sealed)
     # Where noise is far above what is usual no model says what lasts of it: left-out readings do.
-    return from_folds(held, estimation_variance(after, active_columns(after))), False
+    return from_folds(held, estimation_variance(after)), False
 
 
 def modelled(
@@ -109,7 +107,6 @@ def modelled(
     the alternatives depend on, and hold a gap to speak of. others: what else may be true; held: folds, that say how much is there
     under no name where, with probability `unknown`, something is; carried: as `from_model` has it. None: no gap to speak of."""
     asked = _asked_of(after, others, sealed)
-    told = None
     for conditions in [None] if asked is None else [asked, None]:
         if isinstance(before, TrackerChannel) and isinstance(after, TrackerChannel):
             noise = (after.noise_floor / SCALE[after.unit]) ** 2
@@ -165,15 +162,6 @@ def counted(channel: Channel) -> Mask:
     good = ~outliers(channel)
     contact = channel.conditions.contact
     return good if contact is None or not np.any(contact) else good & np.asarray(contact, bool)
-
-
-def active_columns(channel: Channel) -> Array:
-    """Whitened columns (N, m) of a channel's active effects, each over its prior's sd."""
-    parts = [np.zeros((len(channel.system.residual), 0))]
-    for one in channel.active:
-        found, columns = channel.variants(one.effect, one.joint, [one.scanned])
-        parts += [columns[:, 0] * np.asarray(one.effect.prior_sd)] if found else []
-    return np.hstack(parts)
 
 
 def anticipated(

@@ -77,12 +77,12 @@ def next_experiments(d: Diagnosis, library: dict[str, Effect]) -> tuple[Experime
     """
     pairs = rival_pairs(d, library)
     best = _simulated(d, pairs) if pairs else _for_unknown(d)
-    force = _force_channel(d.channels)
+    force = next((c for c in d.channels if c.name == FORCE), None)
     if best or force is None or d.p_unknown > rules.LEADS:
         return best
     from ocp.diagnose.foresee.planned_grinding import unseen
 
-    return tuple(e for e in _simulated(d, unseen(d, force, library)) if e.expected > rules.LEADS)
+    return tuple(e for e in _simulated(d, unseen(d, cast("ForceChannel", force), library)) if e.expected > rules.LEADS)
 
 
 def _simulated(d: Diagnosis, pairs: Sequence[RivalPair]) -> tuple[Experiment, ...]:
@@ -93,15 +93,10 @@ def _simulated(d: Diagnosis, pairs: Sequence[RivalPair]) -> tuple[Experiment, ..
         if isinstance(channel, TrackerChannel):
             found += _by_tracker(channel, pairs, others)
         elif channel.name == FORCE:
-            found += _by_grinding(d.channels, pairs, others)
+            found += _by_grinding(cast("ForceChannel", channel), pairs, others)
         if channel.name in BY_SIGNAL:
             found += _by_levers(channel, pairs)
     return _best(found, {p.names: p.now for p in pairs})
-
-
-def _force_channel(channels: Sequence[Channel]) -> "ForceChannel | None":
-    """The channel of the force log, if there is one."""
-    return cast("ForceChannel | None", next((c for c in channels if c.name == FORCE), None))
 
 
 def rival_pairs(d: Diagnosis, library: dict[str, Effect]) -> list[RivalPair]:
@@ -148,12 +143,10 @@ def _by_tracker(channel: TrackerChannel, pairs: Sequence[RivalPair], others: Seq
     return found + [e for p in seen for e in _without_the_robot(channel, p, unlike([channel], p))]
 
 
-def _by_grinding(channels: Sequence[Channel], pairs: Sequence[RivalPair], others: Sequence[ReadingRows]) -> list[Experiment]:
+def _by_grinding(channel: "ForceChannel", pairs: Sequence[RivalPair], others: Sequence[ReadingRows]) -> list[Experiment]:
     """More grinding, and tracker readings where there are none."""
     from ocp.diagnose.foresee.planned_grinding import more_grinding, tracker_beside
 
-    channel = _force_channel(channels)
-    assert channel is not None
     own, planned = more_grinding(channel, pairs)
     now = {p.names: unlike([own], p, others) for p in pairs}
     found = [_expected(g, p, unlike([own, there], p, others) - now[p.names]) for g, there in planned for p in pairs]

@@ -297,8 +297,7 @@ def _likeliest(left: Array, pieces: list[Index], time: Array, longest: bool = Fa
         white, wander, memory = size * np.exp(x[0]), size * np.exp(x[1]), step * np.exp(x[2])
         noise = EncoderNoise(white, wander, memory, 0.0, 1.0, white, np.empty(0, bool))
         total = 0.0
-        for piece in pieces:
-            factor = cho_factor(covariance(time[piece], noise), lower=True)[0]
+        for piece, factor in factors(time, pieces, noise):
             total += 0.5 * float(np.sum(solve_triangular(factor, left[piece], lower=True) ** 2))
             total += float(np.log(np.diag(factor)).sum())
         return total

@@ -102,8 +102,8 @@ def folds_table(answer: Answer, gap: SignalGap) -> Table:
     """Every fold: error before and after on what was left out."""
     rows = []
     for h in answer.diagnosis.held_out.get(gap.name, ()):
-        values = [SCALE[gap.unit] * v**0.5 for v in (h.before, h.after, h.noise)]
-        better = "" if h.after <= h.before else "worse"
+        values = [SCALE[gap.unit] * v**0.5 for v in h.means]
+        better = "" if values[1] <= values[0] else "worse"
         rows.append((h.fold.name, h.fold.kind, str(h.rows.shape[1]), *(figure(v) for v in values), better))
     columns = ("left out", "kind", "readings", f"rms before, {gap.unit}", "after", "noise", "")
     return table(columns, rows, text=(0, 1, 6), title=f"Left out: {SHORT[gap.name]}")

@@ -34,11 +34,6 @@ class Background:
     draws: Array
     others: Array
 
-    @property
-    def mean(self) -> Array:
-        """Expected mean square (6,) rad^2."""
-        return np.asarray(self.draws.mean(axis=0))
-
 
 def background(task: Task, fit: TrackerFit) -> Background:
     """The background that a fit's residual shows, its named effects taken out."""

@@ -3,6 +3,7 @@ machine shows, and terms that cancel each other."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 from scipy.special import fdtrc
@@ -276,11 +277,9 @@ def implausible(active: Sequence[Active]) -> list[tuple[Name, str]]:
 def cancelling(names: Sequence[Name], signatures: Sequence[Array]) -> list[tuple[Name, str]]:
     """Pairs of effects whose signatures (N,) all but cancel: each stands for what the other overdoes."""
     found = []
-    for i in range(len(names)):
-        for k in range(i):
-            a, b = signatures[i], signatures[k]
-            if np.linalg.norm(a + b) < rules.CANCELS * min(np.linalg.norm(a), np.linalg.norm(b)):
-                found.append((names[i], f"it all but cancels {names[k]}"))
+    for (other, b), (name, a) in combinations(zip(names, signatures, strict=True), 2):
+        if np.linalg.norm(a + b) < rules.CANCELS * min(np.linalg.norm(a), np.linalg.norm(b)):
+            found.append((name, f"it all but cancels {other}"))
     return found
 
 

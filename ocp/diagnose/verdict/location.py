@@ -54,12 +54,8 @@ def of_effect(problem: Linearisation, effect: Effect, joint: int, signature: Arr
 
 def of_kernel(signal: str, where: str, source: str, joint: int) -> Location:
     """Of a kernel that stands for an effect nobody catalogued."""
-    if source in ("joint", "axis"):
-        subsystem = "joint"
-    elif source in ("frame", "beam"):
-        subsystem = SUBSYSTEM.get(where, "tracker")
-    else:
-        subsystem = READING.get(where, "sensor")
+    of_tracker, of_reading = SUBSYSTEM.get(where, "tracker"), READING.get(where, "sensor")
+    subsystem = {"frame": of_tracker, "beam": of_tracker, "reading": of_reading}.get(source, "joint")
     return Location(signal, subsystem, joint, depends_on(where))
 
 

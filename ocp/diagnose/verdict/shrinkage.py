@@ -133,7 +133,7 @@ def from_folds(held: Sequence[HeldOut], estimation: float) -> Shrinkage | None:
         return None
     rng = np.random.default_rng(0)
     found = [_drawn(rng, inside, estimation, DRAWS)]
-    judged = [h for h in outside if realised(h.before, h.after, h.noise) is not None]
+    judged = [h for h in outside if realised(*h.means) is not None]
     if judged:
         count = int(len(found[0]) * rules.NEW_CONDITIONS / (1.0 - rules.NEW_CONDITIONS))
         pick = np.bincount(rng.integers(len(judged), size=count), minlength=len(judged))
@@ -165,11 +165,7 @@ def promised_by_kind(held: Sequence[HeldOut]) -> dict[str, Shrinkage]:
     groups: dict[str, list[HeldOut]] = {}
     seen: dict[bytes, HeldOut] = {}
     for h in held:
-        if (
-            h.fold.extrapolates
-            and seen.setdefault(h.fold.held.tobytes(), h) is h
-            and realised(h.before, h.after, h.noise) is not None
-        ):
+        if h.fold.extrapolates and seen.setdefault(h.fold.held.tobytes(), h) is h and realised(*h.means) is not None:
             groups.setdefault(fold_kind(h), []).append(h)
     rng = np.random.default_rng(0)
     drawn = {
@@ -234,14 +230,16 @@ def _drawn(rng: np.random.Generator, held: Sequence[HeldOut], estimation: float,
     return np.asarray(1.0 - np.sqrt(left / gap[there]))
 
 
-def estimation_variance(channel: Channel, effects: Array) -> float:
-    """Mean square SI^2 of a reading; effects (N, m): whitened columns of the channel's active effects over their priors' sd.
+def estimation_variance(channel: Channel) -> float:
+    """Mean square SI^2 of a reading that the unknowns' errors leave, those of the channel's active effects with them.
 
     With leverage h of a row, a fit without it predicts it with the variance h / (1 - h) of its noise (Allen 1974, PRESS)."""
     system = channel.system
     known = np.isfinite(system.prior_sd)
-    A = np.hstack([system.nuisance * np.where(known, system.prior_sd, 1.0), effects])
-    held = np.concatenate([known, np.ones(effects.shape[1], bool)])
+    shown = [(one, *channel.variants(one.effect, one.joint, [one.scanned])) for one in channel.active]
+    effects = [columns[:, 0] * np.asarray(one.effect.prior_sd) for one, found, columns in shown if found]
+    A = np.hstack([system.nuisance * np.where(known, system.prior_sd, 1.0), *effects])
+    held = np.append(known, np.ones(A.shape[1] - len(known), bool))
     prior = np.where(held, 1.0, 1e-9 * np.linalg.norm(A, axis=0))
     U, s, _ = np.linalg.svd(np.vstack([A, np.diag(prior)]), full_matrices=False)
     leverage = np.minimum((U[: len(A), s > 1e-12 * s[0]] ** 2).sum(axis=1), 0.9)
