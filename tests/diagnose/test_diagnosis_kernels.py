@@ -182,14 +182,14 @@ def test_tilts_are_the_difference_of_a_turn_about_the_axis_origin():
 def test_an_effect_of_the_told_size_is_named_nine_times_of_ten():
     rng = np.random.default_rng(5)
     energy, sizes, odds = 4.0e4, size_grid(0.05), np.log(0.3 / 20)
-    told = visible_lambda(energy, 2, sizes, odds, 40)
+    told = visible_lambda(energy, 2, sizes, odds - np.log(40))
     gains = rng.noncentral_chisquare(2, told, 4000)
     spread = sizes[:, None] ** 2 * energy
     log = np.logaddexp.reduce(-np.log1p(spread) + 0.5 * gains * spread / (1 + spread), axis=0) - np.log(len(sizes) * 40.0)
     assert np.mean(log + odds > 0) == pytest.approx(0.9, abs=0.02)
-    assert told > ncx2.mean(2, 0) and visible_lambda(energy, 2, sizes, odds, 400) > told
-    background = Rival(np.full(4, 0.01), np.log(0.04), 0, 40)
-    assert visible_lambda(energy, 2, sizes, odds, 40, rival=background) > told
+    assert told > ncx2.mean(2, 0) and visible_lambda(energy, 2, sizes, odds - np.log(400)) > told
+    background = Rival(np.full(4, 0.01), np.log(0.04 / 40), 0)
+    assert visible_lambda(energy, 2, sizes, odds - np.log(40), background) > told
 
 
 def test_a_dropped_file_is_screened_named_planned_and_listed(tmp_path, monkeypatch):

@@ -133,12 +133,12 @@ def test_an_effect_above_the_size_told_is_named_and_one_below_is_not(made, plan,
 
 
 def test_a_rival_pays_for_what_the_readings_show_of_it():
-    rival = Rival(np.array([0.005, 0.01]), np.log(0.09), 5, 1)
+    rival = Rival(np.array([0.005, 0.01]), np.log(0.09), 5)
     alone, felt, hidden = (
-        visible_lambda(1e5, 1, size_grid(0.03), np.log(1e-3), 1, 1, *more) for more in ((None,), (rival,), (rival, np.zeros(5)))
+        visible_lambda(1e5, 1, size_grid(0.03), np.log(2e-3), *more) for more in ((None,), (rival,), (rival, np.zeros(5)))
     )
     assert 15 < alone < 60 and alone <= felt < 0.8 * hidden
-    assert visible_lambda(1e5, 1, size_grid(0.03), np.log(1e-3), 1, 1, rival, np.full(5, 1e5)) == felt
+    assert visible_lambda(1e5, 1, size_grid(0.03), np.log(2e-3), rival, np.full(5, 1e5)) == felt
 
 
 def test_a_plan_without_clock_or_shear_is_blind_to_what_needs_them(made, plan):

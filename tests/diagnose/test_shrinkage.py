@@ -124,11 +124,10 @@ def of_name_or(other, problem, patches=(), beside=()):
         background=np.array([f.background for f in families]),
     )
     active, every = problem.values(name), posterior(problem, search)
-    seen = [problem.pool.columns(m) @ (a.a / families[m.family].scale) for m, a in zip(name.members, active, strict=True)]
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("ocp.diagnose.verdict.probabilities.patches_of", lambda *_: patches)
         names = tuple(sorted(families[m.family].name for m in name.members))
-        return alternatives(problem, search, every, (name, names), active, seen), every, active
+        return alternatives(problem, search, every, (name, names), active), every, active
 
 
 def test_what_has_no_name_is_followed_as_what_stands_for_it():

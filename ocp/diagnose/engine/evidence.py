@@ -216,38 +216,29 @@ NONE: Array = np.zeros(0)
 
 @dataclass(frozen=True)
 class Rival:
-    """A family of the background that can take an effect's gap: prior sizes (T,) as shares of the upper end, log prior odds,
-    coefficients that it pays for beside the effect's own, variants."""
+    """A family of the background that can take an effect's gap: prior sizes (T,) as shares of the upper end, log prior odds of
+    each variant, coefficients that it pays for beside the effect's own."""
 
     sizes: Array
     log_odds: float
     beside: int
-    variants: int
 
 
 def visible_lambda(
-    energy: float,
-    coefficients: int,
-    sizes: Array,
-    log_odds: float,
-    variants: int,
-    positive: int = 0,
-    rival: Rival | None = None,
-    beside: Array | None = None,
+    energy: float, coefficients: int, sizes: Array, log_odds: float, rival: Rival | None = None, beside: Array | None = None
 ) -> float:
     """Detectability lambda from which an effect is named nine times of ten; inf above 400.
 
-    energy: mean square g of its columns at the upper end; sizes (T,) and log_odds of its prior; variants that were scanned;
-    positive: coefficients that physics holds positive; beside (k,): mean squares of what else the rival has (default: as many
-    as its `beside` says, each like the effect's own). What these readings hardly show costs a rival nothing.
+    energy: mean square g of its columns at the upper end; sizes (T,) and log_odds of its prior, of each variant; beside (k,):
+    mean squares of what else the rival has (default: as many as its `beside` says, each like the effect's own). What these
+    readings hardly show costs a rival nothing.
     """
     gain = _percentile(coefficients)
-    log = _mean_evidence(gain, energy, coefficients, sizes) - np.log(variants) + log_odds + positive * np.log(2.0)
+    log = _mean_evidence(gain, energy, coefficients, sizes) + log_odds
     against = np.zeros_like(gain)
     if rival is not None:
         others = np.full(rival.beside, energy) if beside is None else beside
-        taken = _mean_evidence(gain, energy, coefficients, rival.sizes, others) - np.log(rival.variants)
-        against = np.logaddexp(0.0, taken + rival.log_odds)
+        against = np.logaddexp(0.0, _mean_evidence(gain, energy, coefficients, rival.sizes, others) + rival.log_odds)
     named = np.flatnonzero(log > against)
     return float(_LAMBDA[named[0]]) if len(named) else np.inf
 

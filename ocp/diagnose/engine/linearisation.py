@@ -135,9 +135,9 @@ def usual_ripple(f: Family, ripples: Ripples | None) -> tuple[Array, float]:
 def rival_of(effect: Effect, joint: int, scans: Sequence[Scanned]) -> Rival | None:
     """What of the background takes an effect's gap: its own twin below the usual range, or play in all joints."""
     if has_twin(effect, joint, scans):
-        return Rival(_twin_sizes(effect, scans), float(np.log(rules.RIPPLE_ODDS)), 0, len(scans))
+        return Rival(_twin_sizes(effect, scans), float(np.log(rules.RIPPLE_ODDS / len(scans))), 0)
     if joint and "approach" in effect.needs:
-        return Rival(rules.BACKGROUND_PLAY * ratio_of(effect, scans), float(np.log(rules.PLAY_ODDS)), 6 - effect.size, 1)
+        return Rival(rules.BACKGROUND_PLAY * ratio_of(effect, scans), float(np.log(rules.PLAY_ODDS)), 6 - effect.size)
     return None
 
 
@@ -152,9 +152,11 @@ def smallest_seen(
     """Share of the usual upper end from which an effect at a joint is named nine times of ten, inf: never; among: of how many
     variants `scans` are the most telling; energy: mean square of its columns at the upper end, others (k,): at its other joints.
     Play of all joints stands against that of one: of the others it pays for what these readings show of them."""
-    rival, positive = rival_of(effect, joint, scans), int(positive_of(effect).sum())
+    rival, sizes = rival_of(effect, joint, scans), size_grid(ratio_of(effect, scans))
     beside = others if rival is not None and rival.beside else None
-    price = visible_lambda(energy, effect.size, size_grid(ratio_of(effect, scans)), odds, among, positive, rival, beside)
+    # What physics holds positive has a half-normal prior, twice as dense where it is.
+    each = odds - float(np.log(among)) + int(positive_of(effect).sum()) * float(np.log(2.0))
+    price = visible_lambda(energy, effect.size, sizes, each, rival, beside)
     return float(np.sqrt(price / max(energy, 1e-12)))
 
 

@@ -88,12 +88,7 @@ class LogAverages:
 
 
 def log_averages(
-    problem: ForceProblem,
-    fit: EffectFit,
-    effects: Iterable[Effect],
-    around: Surroundings,
-    store: Store,
-    waves: Sequence[Wave] = (),
+    problem: ForceProblem, fit: EffectFit, effects: Iterable[Effect], around: Surroundings, store: Store, waves: Sequence[Wave]
 ) -> LogAverages:
     """The rows for this fit: fast patterns of `effects`, of all that is active and of waves that were picked."""
     n, count = len(problem.log), len(fit.whiteners)

@@ -226,9 +226,8 @@ class TrackerChannel:
     def predict(self, sealed: Readings, active: tuple[Active, ...]) -> Sealed:
         """Baseline and corrected predictions (n, 3) m in the tracker's frame, one sigma of each coordinate."""
         before, after = self.fitted_with(()), self.fitted_with(active)
-        told = predict_sealed_readings(
-            (before.task, before.fit), (after.task, after.fit), after.background.draws.mean(axis=0), sealed
-        )
+        lasting = after.background.draws.mean(axis=0)
+        told = predict_sealed_readings((before.task, before.fit), (after.task, after.fit), lasting, sealed)
         if after.uneven is None:
             return told
         more = after.uneven.holds(sealed) * after.uneven.rms**2 / 3.0

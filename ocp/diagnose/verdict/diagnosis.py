@@ -151,7 +151,7 @@ def findings(
         baseline=baseline,
         channels=channels,
         held_out=errors_of_folds(channels, active) if options.folds and active else {},
-        alternatives=alternatives(problem, search, found, (weighed, best), active, signatures),
+        alternatives=alternatives(problem, search, found, (weighed, best), active),
         patches=patches_of(problem, search, found.where) if found.p_unknown > rules.LEADS else (),
         instead=without_kernels(problem, search) if found.p_unknown > rules.LEADS else (),
     )

@@ -163,16 +163,12 @@ def suspected(problem: Linearisation, search: Search, ranked: Sequence[Ranked]) 
 
 
 def alternatives(
-    problem: Linearisation,
-    search: Search,
-    found: Posterior,
-    chosen: tuple[Weighed, Names],
-    active: tuple[Active, ...],
-    signatures: Sequence[Array],
+    problem: Linearisation, search: Search, found: Posterior, chosen: tuple[Weighed, Names], active: tuple[Active, ...]
 ) -> tuple[Alternative, ...]:
     """Sets of effects with probabilities that sum to one, the accepted one first; chosen: its set and names, active: the effects
-    with their values, signatures: theirs (N,)."""
+    with their values."""
     weighed, names = chosen
+    signatures = [problem.signature(weighed, one) for one in active]
     if not active:
         return (Alternative(1.0, ()),)
     listed = _variants(problem, weighed, active, found.probability.get(names, 0.0))
