@@ -49,8 +49,9 @@ class ReadingConditions:
     tilts of the six axes about the two directions across them that stand still in the link before, and the two that turn with the
     joint; moments (n, 6, 2) N m of the weight beyond an axis about the two that stand still; point (n, 3) m in the instrument's
     frame; sight, hang (n, 3): unit vectors from reflectors to the instrument, and down, in axes of the links that carry them;
-    carrier (n, 3, 3): these axes in the instrument's frame; gear_ratio: those that each of six joints may have; waves: of the
-    wheel's turn, and of time and path those that the readings speak for.
+    carrier (n, 3, 3): these axes in the instrument's frame; gear_ratio: those that each of six joints may have; reference: deg C
+    of the cell that patches tell warmth above, None of a signal that no patch corrects; waves: of the wheel's turn, and of time
+    and path those that the readings speak for.
     """
 
     signal: str
@@ -84,6 +85,7 @@ class ReadingConditions:
     hang: Array | None = None
     carrier: Array | None = None
     gear_ratio: tuple[tuple[float, ...], ...] | None = None
+    reference: float | None = None
     waves: tuple["Wave", ...] = ()
 
 
@@ -259,15 +261,6 @@ class Scattering(Protocol):
     @property
     def scatters(self) -> str:
         """In words, how much more they do; empty where they do not."""
-
-
-@runtime_checkable
-class Patchable(Protocol):
-    """A channel whose kernels may be corrections (`ocp.effects.patch`)."""
-
-    @property
-    def reference(self) -> float:
-        """Temperature deg C of the cell that warmth is told above."""
 
 
 @runtime_checkable

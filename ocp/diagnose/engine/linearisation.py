@@ -288,9 +288,8 @@ def linearised(channels: Sequence[Channel], library: Mapping[str, Effect], optio
 def _held(families: Sequence[Family], active: Sequence[Active]) -> list[Member]:
     """Active effects as members of a set, at their scanned values."""
     at = {a.key: scan_key(a.scanned) for a in active}
-    found = [(i, at[f.name.effect, f.name.joint], f.scans) for i, f in enumerate(families) if (f.name.effect, f.name.joint) in at]
-    rows = [(i, [scan_key(s) for s in scans], key) for i, key, scans in found]
-    return [Member(i, keys.index(key), 1.0) for i, keys, key in rows if key in keys]
+    named = [(i, f.scans, at.get((f.name.effect, f.name.joint))) for i, f in enumerate(families)]
+    return [Member(i, v, 1.0) for i, scans, key in named if key is not None for v, s in enumerate(scans) if scan_key(s) == key]
 
 
 def kernel_families(channels: Sequence[Channel], stacked: Stack) -> list[Family]:

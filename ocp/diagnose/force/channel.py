@@ -236,11 +236,6 @@ class ForceChannel:
             self.judged[wanted] = self.with_active(active)
         return self.judged[wanted]
 
-    @property
-    def reference(self) -> float:
-        """Temperature deg C that warmth is told above."""
-        return self.problem.scene.cell.tables.reference_temperature_C
-
     def predict(self, sealed: ForceLog, active: tuple[Active, ...]) -> Sealed:
         """Baseline and corrected normal reading (n, 1) N of conditions nobody has seen, one sigma of the corrected one."""
         after = self.fitted_with(active)
@@ -326,6 +321,7 @@ def logged_conditions(problem: ForceProblem, log: ForceLog, c: LogConditions) ->
         session=log.session if len(log.sessions) > 1 else None,
         contact=log.contact.astype(float),
         tau=weight_torques(scene.cell.robot, log.q, payload.mass, payload.com),
+        reference=scene.cell.tables.reference_temperature_C,
         **columns,
     )
 

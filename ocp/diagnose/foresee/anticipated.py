@@ -17,7 +17,7 @@ from ocp.diagnose.engine.search import outliers
 from ocp.diagnose.foresee.planned_tracker import channel_about
 from ocp.diagnose.rules import LATER, LATER_WARMTHS, LEAST_WARMTH
 from ocp.diagnose.tracker.channel import TrackerChannel
-from ocp.diagnose.verdict.answer import SignalGap
+from ocp.diagnose.verdict.answer import Followed, SignalGap
 from ocp.diagnose.verdict.patching import seen_by, unfaded
 from ocp.diagnose.verdict.remaining import Remaining, remaining
 from ocp.diagnose.verdict.shrinkage import (
@@ -89,23 +89,18 @@ def _shrinkage(
     of_arm = isinstance(after, TrackerChannel)
     if before.name == "force" or (isinstance(after, TrackerChannel) and not after.restless(1.0)):
         others = seen_by(after.name, _what_may_be(diagnosis) if of_arm else diagnosis.alternatives)
-        return modelled(before, after, others, held, diagnosis.p_beside, None, sealed)
+        return modelled(Followed(before, after, others), held, diagnosis.p_beside, None, sealed)
     # Where noise is far above what is usual no model says what lasts of it: left-out readings do.
     return from_folds(held, estimation_variance(after)), False
 
 
 def modelled(
-    before: Channel,
-    after: Channel,
-    others: Sequence[Alternative],
-    held: Sequence[HeldOut],
-    unknown: float,
-    carried: tuple[float, float] | None,
-    sealed: Any,
+    found: Followed, held: Sequence[HeldOut], unknown: float, carried: tuple[float, float] | None, sealed: Any
 ) -> tuple[Shrinkage | None, bool]:
     """What the models promise of tracker readings or forces, and whether under the conditions `sealed`: where these say all that
-    the alternatives depend on, and hold a gap to speak of. others: what else may be true; held: folds, that say how much is there
-    under no name where, with probability `unknown`, something is; carried: as `from_model` has it. None: no gap to speak of."""
+    the alternatives depend on, and hold a gap to speak of. held: folds, that say how much is there under no name where, with
+    probability `unknown`, something is; carried: as `from_model` has it. None: no gap to speak of."""
+    before, after, others = found.before, found.after, found.others
     asked = _asked_of(after, others, sealed)
     for conditions in [None] if asked is None else [asked, None]:
         if isinstance(before, TrackerChannel) and isinstance(after, TrackerChannel):

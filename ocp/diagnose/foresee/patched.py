@@ -18,7 +18,7 @@ from ocp.diagnose.foresee.anticipated import modelled
 from ocp.diagnose.foresee.planned_tracker import channel_about
 from ocp.diagnose.rules import CARRIED_PATCH, LEADS
 from ocp.diagnose.tracker.channel import TrackerChannel
-from ocp.diagnose.verdict.answer import Patched, Unnamed
+from ocp.diagnose.verdict.answer import Followed, Patched
 from ocp.diagnose.verdict.diagnosis import errors_of_folds
 from ocp.diagnose.verdict.patching import is_patch, read_beside, unfaded, with_further
 from ocp.diagnose.verdict.shrinkage import Shrinkage
@@ -30,7 +30,7 @@ from robots.errors import Infeasible
 from robots.pose import Array, Mask
 
 
-def unnamed(diagnosis: Diagnosis, written: Sequence[Active]) -> Unnamed | None:
+def unnamed(diagnosis: Diagnosis, written: Sequence[Active]) -> Followed | None:
     """What is there under no name; None: nothing, nothing that a patch can hold, or the arm misses far more than noise still:
     there evidence, which chose the kernel, is worth little (ur10_two_series: 44 % promised, 37 % worse)."""
     if not diagnosis.patches or diagnosis.p_unknown <= LEADS:
@@ -42,7 +42,7 @@ def unnamed(diagnosis: Diagnosis, written: Sequence[Active]) -> Unnamed | None:
     except Infeasible:  # no fit with it comes to rest
         return None
     far = isinstance(after, Scattering) and after.scatters
-    return None if far else Unnamed(before, after, _others(diagnosis, tuple(written), after))
+    return None if far else Followed(before, after, _others(diagnosis, tuple(written), after))
 
 
 def _as_seen(before: Channel, written: tuple[Active, ...], patches: tuple[Active, ...]) -> Channel:
@@ -63,11 +63,11 @@ def _as_seen(before: Channel, written: tuple[Active, ...], patches: tuple[Active
     return after
 
 
-def patched(found: Unnamed, named: Shrinkage | None, sealed: Any = None) -> Patched | None:
+def patched(found: Followed, named: Shrinkage | None, sealed: Any = None) -> Patched | None:
     """The patch that does no harm and promises more than the written names alone (`named`: what they promise); None: the low end
     of its promise is not above zero."""
     held = errors_of_folds([found.after], found.after.active)[found.after.name]
-    promise, asked = modelled(found.before, found.after, found.others, held, 1.0, CARRIED_PATCH, sealed)
+    promise, asked = modelled(found, held, 1.0, CARRIED_PATCH, sealed)
     less = 0.0 if named is None else named.predicted
     if promise is None or promise.low <= 0.0 or promise.predicted <= less:
         return None
@@ -125,7 +125,8 @@ def _of_forces(channel: Channel, patches: Sequence[Active], sealed: Any) -> Iter
 
     assert isinstance(channel, ForceChannel)
     asked, named = channel.asked(sealed), {one.key for one in patches}
-    conditions = conditions_by_name(logged_conditions(channel.problem, sealed, asked.there.conditions), channel.reference)
+    reference = channel.problem.scene.cell.tables.reference_temperature_C
+    conditions = conditions_by_name(logged_conditions(channel.problem, sealed, asked.there.conditions), reference)
     usual, place = np.mean(channel.fit.normal[channel.log.contact] ** 2, axis=0), sum(channel.problem.sizes)
     for one in channel.active:
         here, place = slice(place, place + one.effect.size), place + one.effect.size
@@ -134,7 +135,7 @@ def _of_forces(channel: Channel, patches: Sequence[Active], sealed: Any) -> Iter
             yield lengths_outside(unfaded([one])[0], conditions), shown[:, None] * float(usual[here].sum())
 
 
-def beside_unknown(told: Sealed, found: Unnamed, sealed: Any, known: Sequence[Alternative]) -> Sealed:
+def beside_unknown(told: Sealed, found: Followed, sealed: Any, known: Sequence[Alternative]) -> Sealed:
     """Predictions by the written names, sigma with what is there under no name, or under names that are not in it yet (`known`:
     alternatives that are)."""
     variance, counted = told.sigma**2, {effects_key(one.active): one.probability for one in known}

@@ -133,6 +133,7 @@ class TrackerChannel:
             sight=self.seen.sight,
             hang=self.seen.hang,
             carrier=self.seen.tracker_rows.R,
+            reference=self.task.reference,
             **same,
         )
 
@@ -217,11 +218,6 @@ class TrackerChannel:
     def _bare(self) -> Array:
         """Derivatives (n, 3, p) in the arm's unknowns without what the active effects let give."""
         return self.task.linearised(self.fit.state, ())[0].J if self.active else self.fit.linear.J
-
-    @property
-    def reference(self) -> float:
-        """Temperature deg C that warmth is told above."""
-        return self.task.reference
 
     def predict(self, sealed: Readings, active: tuple[Active, ...]) -> Sealed:
         """Baseline and corrected predictions (n, 3) m in the tracker's frame, one sigma of each coordinate."""

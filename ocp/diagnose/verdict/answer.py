@@ -64,9 +64,9 @@ class SignalGap:
 
 
 @dataclass(frozen=True)
-class Unnamed:
-    """What is there under no name: the channel that shows it before anything and with the written names and the patches; others:
-    what may be true, with probabilities, what the patches say first."""
+class Followed:
+    """A channel before anything and with the effects that something is to be promised of; others: what may be true, with
+    probabilities, these effects first."""
 
     before: Channel
     after: Channel
@@ -93,8 +93,8 @@ class Patched:
 class Answer:
     """Diagnosis of a data set with the gap of every signal, what to measure next, what cannot be seen, seconds by phase; asked:
     conditions to predict, by signal; written: named effects that the corrected cell holds; fitted: the channels with them and no
-    others; unknown: what is there under no name;
-    patch: of it, where it is written too."""
+    others; unknown: what is there under no name, before and after, what the patches say first; patch: of it, where it is written
+    too."""
 
     data: DataSet
     diagnosis: Diagnosis
@@ -106,7 +106,7 @@ class Answer:
     asked: Mapping[str, Any]
     written: tuple[Active, ...] = ()
     fitted: tuple[Channel, ...] = ()
-    unknown: Unnamed | None = None
+    unknown: Followed | None = None
     patch: Patched | None = None
 
     @property

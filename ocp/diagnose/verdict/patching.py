@@ -13,7 +13,7 @@ import numpy as np
 
 from ocp.diagnose import rules
 from ocp.diagnose.engine.beam import Search
-from ocp.diagnose.engine.channel_system import Channel, Patchable, ReadingConditions
+from ocp.diagnose.engine.channel_system import Channel, ReadingConditions
 from ocp.diagnose.engine.evidence import stack
 from ocp.diagnose.engine.findings import Alternative, Name
 from ocp.diagnose.engine.kernels import conditions_by_name, is_periodic, kernels, middle_of
@@ -30,9 +30,9 @@ def as_patch(name: Name, variant: int, size: float, channel: Channel) -> Active 
     """A kernel as a patch of zero weights, prior sd `size` of its coefficients, a reading's as those that are there already: of
     the force, or of what the sensor shows beside it; None where no patch can hold it."""
     signal, where, source = name.effect.removeprefix("?").split("/")
-    if signal != channel.name or not isinstance(channel, Patchable):
-        return None
     c, more, middle = channel.conditions, {}, 0.0
+    if signal != channel.name or c.reference is None:
+        return None
     kernel = next((k for k in kernels(c) if (k.where, k.source, k.joint) == (where, source, name.joint)), None)
     if kernel is None or not (features := kernel.words(variant)):
         return None
@@ -46,7 +46,7 @@ def as_patch(name: Name, variant: int, size: float, channel: Channel) -> Active 
         middle, flat = middle_of(c.point), np.linalg.norm(c.point[:, :2], axis=1)
         more["about"] = (middle, float(flat.mean()), float(np.linalg.norm(c.point, axis=1).mean()))
         source = ON_BEAM[variant]
-    measured = conditions_by_name(c, channel.reference, middle)
+    measured = conditions_by_name(c, c.reference, middle)
     if not measured.keys() >= set(conditions_of(features)):
         return None
     # What settles is gone after a wait longer than any that was measured.
