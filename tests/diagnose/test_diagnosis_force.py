@@ -336,12 +336,13 @@ def test_held_out_errors_are_those_of_a_refit(made, tmp_path):
     judged = channel.held_out(Fold("late", "time", late), channel.active)
     problem, rest = channel.problem, _part(channel.problem, ~late)
     rows = late & log.contact
-    for active, mean_square in (((), judged.before), ((_active("wheel_wear"),), judged.after)):
+    before, after, noise = judged.means
+    for active, mean_square in (((), before), ((_active("wheel_wear"),), after)):
         fit = fit_effects(rest, active)
         there = predict_forces(problem.scene, fit.at.x, fit.active)
         assert np.mean((log.fn - there.fn)[rows] ** 2) == pytest.approx(mean_square, rel=0.1, abs=0.004)
-    assert judged.before > 4 * judged.noise and judged.after < judged.noise + 3 * judged.estimation
-    assert 0 < judged.shared < 0.1 * (judged.before - judged.after)
+    assert before > 4 * noise and after < noise + 3 * judged.estimation
+    assert 0 < judged.shared < 0.1 * (before - after)
     assert made.channel.held_out(Fold("late", "time", late), ()).shared == 0.0  # nothing differs
     # The nuisance takes back what the flange's stiffness may be off by: its value is known to 30 %, the readings to a hundredth.
     soft = _again(made, log).with_active((_active("flange_stiffness"),))
