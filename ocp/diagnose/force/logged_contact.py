@@ -117,8 +117,8 @@ class LoggedArm:
         return Moved(found.moving[moves], np.ascontiguousarray(found.shift[:, :, moves].transpose(2, 1, 0, 3)), blade)
 
 
-def logged_arm(cell: Cell, theta: Array, q: Array, conditions: LogConditions) -> LoggedArm:
-    """The arm with parameters theta (m,) at commanded joints q (n, 6) rad."""
+def logged_arm(cell: Cell, theta: Array, q: Array, c: LogConditions) -> LoggedArm:
+    """The arm with parameters theta (m,) at commanded joints q (n, 6) rad under conditions c."""
     n = len(q)
     parameters = theta[:36].copy()
     # Under gravity bends what the believed model lets bend; under the contact force all springs do
@@ -127,9 +127,7 @@ def logged_arm(cell: Cell, theta: Array, q: Array, conditions: LogConditions) ->
     hanging = theta[[NAMES.index(k) for k in ("payload_mass", "payload_com_x", "payload_com_y", "payload_com_z")]]
     inputs = RowInputs(q, np.tile(hanging, (n, 1)), np.zeros((n, 6)), np.zeros((n, 3)), np.zeros((n, 3)))
     names = tuple(cell.tables.payloads)
-    own = cell.tables.workpiece.payload if cell.tables.workpiece is not None else None
-    hung = np.full(n, names.index(own) if own in names else 0)
-    c = conditions
+    hung = np.full(n, names.index(cell.workpiece.payload_name) if names else 0)
     clock = c.clock if "clock_s" in c.given else None
     rows = arm_rows(cell.robot, parameters, inputs, names, hung, c.approach, c.warm, clock, c.speed)
     flange = rows.block("frames").reshape(-1, 7, 3, 4)[:, 6]

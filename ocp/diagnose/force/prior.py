@@ -90,12 +90,10 @@ def with_setpoints_read_off(log: ForceLog, own: float) -> tuple[ForceLog, str] |
     if log.setpoint is not None or not own > 0:
         return None
     touching = {int(r): (log.run == r) & log.contact for r in np.unique(log.run)}
-    pressed = {r: rows for r, rows in touching.items() if np.count_nonzero(rows) >= rules.SETPOINT_ROWS}
-    force = {r: float(np.median(log.fn[rows])) for r, rows in pressed.items()}
-    pressed = {r: rows for r, rows in pressed.items() if force[r] > AIR_SHARE * own}  # what hardly touches has no setpoint
-    force = {r: force[r] for r in pressed}
+    told = {r: float(np.median(log.fn[rows])) for r, rows in touching.items() if np.count_nonzero(rows) >= rules.SETPOINT_ROWS}
+    force = {r: one for r, one in told.items() if one > AIR_SHARE * own}  # what hardly touches has no setpoint
     changed: dict[int, float] = {}
-    for group in _over_the_same_points(log, pressed):
+    for group in _over_the_same_points(log, {r: touching[r] for r in force}):
         # Most runs of a log are at the cell's setpoint, whatever the cell makes of it.
         usual = _usual([force[r] for r in group], _usual(list(force.values()), own))
         changed |= {r: own + force[r] - usual for r in group if abs(force[r] - usual) > rules.SETPOINT_CHANGED * usual}

@@ -10,6 +10,7 @@ is noise, which is no part of a gap.
 """
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -106,12 +107,9 @@ def _start(known: LogConditions) -> Array:
 
 def _with(before: ForceChannel, after: ForceChannel, active: tuple[Active, ...]) -> ForceChannel | None:
     """The channel with these effects; one of those given where it is that already, None where no fit with them comes to rest."""
-    if not active:
-        return before
-    try:
-        return after.fitted_with(active)
-    except Infeasible:
-        return None
+    with suppress(Infeasible):
+        return after.fitted_with(active) if active else before
+    return None
 
 
 def _scene(channel: ForceChannel, conditions: LogConditions, rows: Index) -> LogScene:

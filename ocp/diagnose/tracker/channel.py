@@ -22,6 +22,7 @@ from robots.pose import Array
 from robots.tracker_readings import Readings
 
 OF_READINGS = ("q", "approach", "payload", "payloads", "target", "time", "waited", "moved", "temperature")
+OF_SEEN = ("moments", "sight", "hang")
 ANY = {"target", "payload"}  # one of them is as good as many
 LEVERAGE = 0.9  # of a reading on its fit, at most
 
@@ -120,6 +121,7 @@ class TrackerChannel:
         r, c = self.readings, self.task.campaign
         hung = self.fit.state.payloads[r.payload]
         same: dict[str, Any] = {name: getattr(r, name) for name in OF_READINGS}
+        same |= {name: getattr(self.seen, name) for name in OF_SEEN}
         return ReadingConditions(
             signal=self.name,
             clock=r.time,
@@ -127,11 +129,8 @@ class TrackerChannel:
             tau=weight_torques(c.robot, r.q, hung[:, 0], hung[:, 1:]),
             d_joints=self.fit.linear.d_joints,
             d_tilts=self.seen.tilts,
-            moments=self.seen.moments,
             gear_ratio=ratios_of(self.surroundings),
             point=self.fit.linear.point,
-            sight=self.seen.sight,
-            hang=self.seen.hang,
             carrier=self.seen.tracker_rows.R,
             reference=self.task.reference,
             **same,
