@@ -8,14 +8,14 @@ import pytest
 from ocp.calibrate.tracker import as_in
 from ocp.diagnose.engine.findings import Name, Options
 from ocp.diagnose.engine.linearisation import linearised
+from ocp.diagnose.foresee.anticipated import remaining
 from ocp.diagnose.rules import LINES_A_GEAR, QUIET
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.diagnose.tracker.held_out import placed_stands, tracker_folds
-from ocp.diagnose.tracker.refit import believed_baseline, reliability, settled
-from ocp.diagnose.tracker.weights import link_torques, weighed_links
+from ocp.diagnose.tracker.refit import believed_baseline, link_torques, reliability, settled, weighed_links
 from ocp.diagnose.verdict import diagnosis
+from ocp.diagnose.verdict.answer import Remaining
 from ocp.diagnose.verdict.diagnosis import _scattering, cancelling, diagnose_channels, implausible
-from ocp.diagnose.verdict.remaining import Remaining, remaining
 from ocp.effects.catalogue import library
 from ocp.effects.effect import Active
 from ocp.effects.engine.evaluate import arm_shift

@@ -16,15 +16,14 @@ from ocp.diagnose.engine.evidence import project
 from ocp.diagnose.engine.findings import Alternative, Diagnosis, Explanation, Name, Options
 from ocp.diagnose.engine.linearisation import linearised
 from ocp.diagnose.engine.pool import Member, make_pool
-from ocp.diagnose.foresee.anticipated import _beyond_measured, _with_same_readings, anticipated, signal_gap
+from ocp.diagnose.foresee.anticipated import _beyond_measured, _with_same_readings, anticipated, remaining, signal_gap
 from ocp.diagnose.rules import BACKGROUND_SIZES, NO_BACKGROUND, NO_OTHER_RIPPLE
 from ocp.diagnose.tracker.background import DRAWS, _line, _Waves, _weights, _with_further, background
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.diagnose.tracker.refit import _width_of_weights, usual_noise
-from ocp.diagnose.verdict.answer import SignalGap, promised
+from ocp.diagnose.verdict.answer import Remaining, SignalGap, promised
 from ocp.diagnose.verdict.diagnosis import leader, screened
 from ocp.diagnose.verdict.probabilities import alternatives, gathered, posterior
-from ocp.diagnose.verdict.remaining import Remaining, remaining
 from ocp.diagnose.verdict.shrinkage import (
     ANOTHER_DAY,
     NONE,

@@ -10,7 +10,6 @@ from ocp.diagnose.dataset import DataSet
 from ocp.diagnose.engine.channel_system import Channel
 from ocp.diagnose.engine.findings import Alternative, Diagnosis, Experiment
 from ocp.diagnose.verdict.patching import is_patch
-from ocp.diagnose.verdict.remaining import Remaining
 from ocp.diagnose.verdict.shrinkage import ANOTHER_DAY, Shrinkage
 from ocp.effects.effect import Active
 from robots.pose import Array
@@ -19,6 +18,15 @@ from robots.pose import Array
 def there_of(asked: bool) -> str:
     """Of what is promised: the conditions asked for, or new data like those that there are."""
     return "under the conditions asked for" if asked else "on new data"
+
+
+@dataclass(frozen=True)
+class Remaining:
+    """Rms (SI, of the reading's size) that stays above the instrument's noise, 0 where noise may well be all (`PLACE_SURE`);
+    probability that noise alone leaves as much."""
+
+    above_noise: float
+    p_value: float
 
 
 @dataclass(frozen=True)
