@@ -8,7 +8,7 @@ the page is made here, after the rest.
 
 import re
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import cast
@@ -150,10 +150,9 @@ def _at_rest(found: Diagnosis, written: tuple[Active, ...]) -> tuple[tuple[Activ
     """The effects that are to be written and the channels with them and no others; where no fit with them comes to rest none."""
     if effects_key(written) == effects_key(found.active):
         return written, found.channels
-    try:
+    with suppress(Infeasible):
         return written, tuple(c.with_active(written) if written else c for c in found.baseline)
-    except Infeasible:
-        return (), found.baseline
+    return (), found.baseline
 
 
 def with_either_sign(known: dict[str, Effect], believed: Sequence[Active]) -> dict[str, Effect]:

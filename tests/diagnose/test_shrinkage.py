@@ -108,7 +108,10 @@ def test_an_effect_that_stands_in_the_background_is_there_all_the_same(stands_in
     toy, found = problem_of(planted=((0, 1.0),))
     problem = linearised([toy], found, Options())
     told, every, _ = of_name_or(replace(problem.pool.families[stands_in], name=Name("~e"), effect=None, background=True), problem)
-    assert [len(one.active) for one in told] == [1, kept] and (every.p_none, every.p_alone) == (pytest.approx(0.5), 0.0)
+    assert [len(one.active) for one in told] == [1, kept] and (every.p_none, every.beside.get((), 0.0)) == (
+        pytest.approx(0.5),
+        0.0,
+    )
 
 
 def of_name_or(other, problem, patches=(), beside=()):
@@ -136,7 +139,7 @@ def test_what_has_no_name_is_followed_as_what_stands_for_it():
     kernel = replace(problem.pool.families[0], name=Name("?e"), effect=None)
     patch, beside = (Active(effect, 0, np.zeros(1), {}, np.eye(1)) for effect in list(found.values())[1:3])
     told, every, named = of_name_or(kernel, problem, (Alternative(0.3, (patch,)), Alternative(0.1, (beside,))))
-    assert (every.p_none, every.p_alone, every.p_unknown) == (pytest.approx(0.5),) * 3
+    assert (every.p_none, every.beside.get((), 0.0), every.p_unknown) == (pytest.approx(0.5),) * 3
     assert [one.active for one in told] == [named, (patch,), (beside,)]
     assert [one.probability for one in told] == pytest.approx([0.5, 0.375, 0.125])
     told, _, named = of_name_or(kernel, problem)
@@ -150,7 +153,7 @@ def test_what_stands_for_one_of_two_names_is_followed_beside_the_other():
     kernel = replace(problem.pool.families[0], name=Name("?e"), effect=None)
     patch = Active(found["e2"], 0, np.zeros(1), {}, np.eye(1))
     told, every, _ = of_name_or(kernel, problem, (Alternative(0.3, (patch,)),), beside=(1,))
-    assert every.beside == {(Name("e1", 0),): pytest.approx(0.5)} and (every.p_none, every.p_alone) == (0.0, 0.0)
+    assert every.beside == {(Name("e1", 0),): pytest.approx(0.5)} and (every.p_none, every.beside.get((), 0.0)) == (0.0, 0.0)
     assert [[a.effect.name for a in one.active] for one in told] == [["e0", "e1"], ["e1", "e2"]]
     assert [one.probability for one in told] == pytest.approx([0.5, 0.5])
     told, _, _ = of_name_or(kernel, problem, beside=(1,))

@@ -295,13 +295,12 @@ def surroundings(problem: ForceProblem) -> Surroundings:
     first, last = np.array(sorted((c.clock[c.run == r].min(), c.clock[c.run == r].max()) for r in np.unique(c.run))).T
     breaks = 0.5 * (last[:-1] + first[1:]) if clocked and len(first) > 1 else np.empty(0)
     lengths = [np.ptp(c.s[(c.line == k) & log.contact]) for k in np.unique(c.line[log.contact])]
-    names = tuple(cell.tables.payloads)
     own = cell.tables.workpiece.payload if cell.tables.workpiece is not None else None
     return Surroundings.of(
         cell.robot,
         log.q,
         c.clock if clocked else None,
-        payloads=(own,) if own in names else (),
+        payloads=(own,) if own in cell.tables.payloads else (),
         breaks=np.sort(breaks),
         length=float(max(lengths, default=0.0)),
         lines=tuple(float(k) for k in np.unique(c.line[log.contact])),

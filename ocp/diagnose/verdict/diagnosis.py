@@ -136,7 +136,7 @@ def findings(
         active=active,
         p_none=found.p_none,
         p_unknown=found.p_unknown,
-        p_alone=found.p_alone,
+        p_alone=found.beside.get((), 0.0),
         classes=classes,
         location=place(problem, found, active, signatures, tests),
         remainder=place(problem, found, (), (), after) if found.p_unknown > rules.LEADS else of_tests(after),

@@ -50,11 +50,6 @@ class Posterior:
     gain: dict[Name, float]
     best: dict[Names, Weighed]
 
-    @property
-    def p_alone(self) -> float:
-        """A kernel is in, and no name."""
-        return self.beside.get((), 0.0)
-
 
 def posterior(problem: Linearisation, search: Search) -> Posterior:
     """Background lines and kernels are summed over: they explain without being named."""
