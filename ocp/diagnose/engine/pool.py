@@ -19,8 +19,6 @@ from ocp.diagnose.engine.findings import Name
 from ocp.effects.effect import Effect, Scanned
 from robots.pose import Array, Index
 
-PAIRWISE = 3  # columns of a variant up to which its products are taken pair by pair
-
 
 @dataclass(frozen=True)
 class Family:
@@ -265,17 +263,9 @@ def most_telling(pool: CandidatePool, held: Sequence[Member]) -> list[Family]:
 
 
 def squares(X: Array) -> Array:
-    """X^T X (V, m, m) of every variant of X (N, V, m). Few columns pair by pair, many by a product a variant: whichever is the
-    faster by far."""
-    V, m = X.shape[1:]
-    if m > PAIRWISE:
-        turned = np.ascontiguousarray(X.transpose(1, 2, 0))
-        return np.asarray(turned @ turned.transpose(0, 2, 1))
-    G = np.empty((V, m, m))
-    for a in range(m):
-        for b in range(a, m):
-            G[:, a, b] = G[:, b, a] = np.einsum("nv,nv->v", X[:, :, a], X[:, :, b])
-    return G
+    """X^T X (V, m, m) of every variant of X (N, V, m)."""
+    turned = np.ascontiguousarray(X.transpose(1, 2, 0))
+    return np.asarray(turned @ turned.transpose(0, 2, 1))
 
 
 def given(pool: CandidatePool, members: Sequence[Member]) -> Given:
