@@ -6,11 +6,11 @@ from types import SimpleNamespace
 import numpy as np
 
 from ocp.diagnose.engine.beam import Weighed
-from ocp.diagnose.engine.evidence import coefficients_given
 from ocp.diagnose.engine.findings import Name
 from ocp.diagnose.engine.pool import Family, Member, make_pool, most_telling
 from ocp.diagnose.verdict.probabilities import merged, twins
 from ocp.effects.catalogue import library
+from robots.gauss_newton import linear_step
 
 N, LONG = 400, 30.0  # rows; length of a column at its prior's upper end, in noises
 SIZES = np.array([0.1, 0.3, 1.0])
@@ -39,7 +39,8 @@ def classes_of(slope: float, play: float = 0.0) -> list[Name]:
     pool = make_pool(y, N, [family("windup", windup), *others])
     members = [Member(0, 0, 1.0), *([Member(2, 0, 0.08)] if play else [])]
     C = np.hstack([pool.columns(m) for m in members])
-    a, _ = coefficients_given(C, y, np.repeat([m.size for m in members], [2, 6][: len(members)]))
+    sizes = np.repeat([m.size for m in members], [2, 6][: len(members)])
+    a = sizes * linear_step(y, C * sizes, 0.0 * sizes, np.ones(len(sizes))).change
     return twins(SimpleNamespace(pool=pool), Weighed(0.0, tuple(members)), members[0], C[:, :2] @ a[:2])
 
 

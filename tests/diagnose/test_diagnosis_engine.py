@@ -9,7 +9,7 @@ from scipy.stats import gamma, kstest, multivariate_t, norm
 
 from ocp.diagnose.engine.beam import Search, weigh
 from ocp.diagnose.engine.channel_system import ReadingConditions
-from ocp.diagnose.engine.evidence import Tails, coefficients_given, log_evidence, project, size_grid
+from ocp.diagnose.engine.evidence import Tails, log_evidence, project, size_grid
 from ocp.diagnose.engine.findings import Name, Options
 from ocp.diagnose.engine.linearisation import linearised, positive_of
 from ocp.diagnose.engine.pool import Member, given, scan, scan_one
@@ -17,6 +17,7 @@ from ocp.diagnose.rules import NOISE_TRUST, TAILS, TAILS_TOLD, WRONG_SIGN
 from ocp.diagnose.verdict.diagnosis import diagnose_channels
 from ocp.diagnose.verdict.location import kernel_tests
 from ocp.effects.catalogue import library
+from robots.gauss_newton import linear_step
 from tests.support.linear_channel import LinearChannel, effect
 
 FEW = Options(where=False, prior_effects=0.2)  # a library of six
@@ -323,8 +324,8 @@ def test_posterior_covers():
     for seed in range(400):
         rng = np.random.default_rng(seed)
         C, a = rng.normal(size=(40, 2)), rng.normal(size=2)
-        mean, covariance = coefficients_given(C, C @ a + rng.normal(size=40), np.ones(2))
-        inside += abs(mean[0] - a[0]) < 1.645 * np.sqrt(covariance[0, 0])
+        step = linear_step(C @ a + rng.normal(size=40), C, np.zeros(2), np.ones(2))
+        inside += abs(step.change[0] - a[0]) < 1.645 * np.sqrt(step.covariance[0, 0])
     assert 0.86 < inside / 400 < 0.94
 
 

@@ -201,15 +201,6 @@ def _half(
     return np.asarray(np.where(positive[rows][:, None, :], each, 0.0).sum(axis=2))
 
 
-def coefficients_given(C: Array, y: Array, prior_sd: Array) -> tuple[Array, Array]:
-    """Mean (m,) and covariance (m, m) of coefficients with prior sd (m,), of columns C (N, m) with unit noise; by SVD."""
-    U, s, Vt = np.linalg.svd(C * prior_sd, full_matrices=False)
-    V = prior_sd[:, None] * Vt.T
-    mean = V @ (s / (1.0 + s**2) * (U.T @ y))
-    covariance = np.diag(prior_sd**2) - (V * (s**2 / (1.0 + s**2))) @ V.T
-    return np.asarray(mean), np.asarray(covariance)
-
-
 _LAMBDA = np.geomspace(3.0, 400.0, 500)
 NONE: Array = np.zeros(0)
 

@@ -10,11 +10,12 @@ import numpy as np
 from ocp.diagnose import rules
 from ocp.diagnose.engine.beam import Key, Weighed
 from ocp.diagnose.engine.channel_system import Channel, ReadingRows
-from ocp.diagnose.engine.evidence import SIZES, Rival, Stack, coefficients_given, size_grid, stack, visible_lambda
+from ocp.diagnose.engine.evidence import RANK, SIZES, Rival, Stack, size_grid, stack, visible_lambda
 from ocp.diagnose.engine.findings import Name, Options
 from ocp.diagnose.engine.kernels import Kernel, kernels
 from ocp.diagnose.engine.pool import CandidatePool, Family, Given, Member, given, make_pool, most_telling
 from ocp.effects.effect import Active, Effect, Scanned, scan_key
+from robots.gauss_newton import linear_step
 from robots.pose import Array
 
 Ripples = tuple[Array, Array]
@@ -254,8 +255,8 @@ class Linearisation:
         if not members:
             return ()
         C = np.hstack([self.pool.columns(m) for m in members])
-        mean, covariance = coefficients_given(C, self.pool.y, np.ones(C.shape[1]))
-        found, start = [], 0
+        step = linear_step(self.pool.y, C, np.zeros(C.shape[1]), np.ones(C.shape[1]), RANK)
+        covariance, found, start = step.covariance, [], 0
         for m in members:
             family = self.pool.families[m.family]
             block = slice(start, start + len(family.scale))
@@ -263,7 +264,7 @@ class Linearisation:
             if family.effect is not None:
                 scaled = covariance[block, block] * np.outer(family.scale, family.scale)
                 scanned = family.scans[m.variant]
-                found.append(Active(family.effect, family.name.joint, mean[block] * family.scale, scanned, scaled))
+                found.append(Active(family.effect, family.name.joint, step.change[block] * family.scale, scanned, scaled))
         return tuple(sorted(found, key=lambda a: a.key))
 
     def taken(self, weighed: Weighed) -> Given:
