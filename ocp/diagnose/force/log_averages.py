@@ -19,7 +19,7 @@ from ocp.diagnose.force.fit import EffectFit, ForceProblem
 from ocp.diagnose.force.prediction import effect_derivatives
 from ocp.diagnose.rules import FAST_LAMBDA, FAST_SHARE
 from ocp.effects.effect import Effect, Scanned, Surroundings
-from robots.pose import Array, Index, Mask
+from robots.pose import Array
 
 TOGETHER = 24  # variants evaluated at once
 
@@ -31,14 +31,13 @@ class LogAverages:
     """Rows of the whitened system: averages of each signal, products with the fast patterns.
 
     patterns (S, n, k): orthonormal whitened patterns of S signals together; back (S, n, k): through the filters' transposes;
-    slopes (S, n): of the signals in the contact force; touching (n,): rows in contact, where there is one.
+    slopes (S, n): of the signals in the contact force.
     """
 
     whiteners: tuple[Whitener, ...]
     patterns: Array = field(repr=False)
     back: Array = field(repr=False)
     slopes: Array = field(repr=False)
-    touching: Mask = field(repr=False)
 
     def rows(self, columns: Sequence[Array]) -> Array:
         """Columns (n, m) of each signal, N, as rows of the system (N, m)."""
@@ -58,33 +57,17 @@ class LogAverages:
         return self.rows([c.swapaxes(0, 1).reshape(n, V * m) for c in columns]).reshape(-1, V, m)
 
     def by_force(self, force: Array) -> Array:
-        """The same of an effect that does no more than change the contact force, by (n, V, m) N: one product for all signals."""
+        """The same of an effect that does no more than change the contact force, by (n, V, m) N: one product with the patterns
+        for all signals."""
         n, V, m = force.shape
         columns = force.reshape(n, V * m)
-        fast = sum(len(s.blocks) for w in self.whiteners for s in w.stretches)
-        out = np.zeros((fast + self.back.shape[2], V * m))
-        for rows, place, both in self._of_force:
-            part = both @ columns[rows]
-            out[place] = part[: len(place)]
-            out[fast:] += part[len(place) :]
-        return out.reshape(-1, V, m)
+        short = [w.short(slope[:, None] * columns) for w, slope in zip(self.whiteners, self.slopes, strict=True)]
+        return np.concatenate([*short, self._back_of_force.T @ columns]).reshape(-1, V, m)
 
     @cached_property
-    def _of_force(self) -> list[tuple[Index, Index, Array]]:
-        """Of each stretch in contact: its rows of the log (k,), which averages it has (b,), and what makes these and its share of
-        the products with the patterns of changes of the contact force (b + p, k)."""
-        patterns = sum(b * slope[:, None] for b, slope in zip(self.back, self.slopes, strict=True))
-        stretches = [s for w in self.whiteners for s in w.stretches]
-        first = np.cumsum([0, *(len(s.blocks) for s in stretches)])
-        count, found = len(stretches) // len(self.whiteners), []
-        for i, stretch in enumerate(stretches[:count]):
-            if not self.touching[stretch.rows].any():
-                continue
-            same = range(i, len(stretches), count)  # signals are measured, and cut into stretches, together
-            short = [stretches[k].short * slope[stretch.rows] for k, slope in zip(same, self.slopes, strict=True)]
-            place = np.concatenate([np.arange(first[k], first[k + 1]) for k in same])
-            found.append((stretch.rows, place, np.vstack([*short, np.asarray(patterns)[stretch.rows].T])))
-        return found
+    def _back_of_force(self) -> Array:
+        """What all signals' `back` make of a newton of the contact force (n, k)."""
+        return np.einsum("snk,sn->nk", self.back, self.slopes)
 
 
 def log_averages(
@@ -107,7 +90,7 @@ def log_averages(
         chosen += [_lost(fit, [c[v] for c in made]) for v in range(len(made[0]))]
     patterns = _orthonormal(np.concatenate(chosen, axis=2))
     back = np.stack([w.back(p) for w, p in zip(fit.whiteners, patterns, strict=True)])
-    return LogAverages(fit.whiteners, patterns, back, slopes, problem.log.contact)
+    return LogAverages(fit.whiteners, patterns, back, slopes)
 
 
 def _lost(fit: EffectFit, columns: Iterable[Array]) -> Array:
