@@ -34,7 +34,7 @@ from ocp.diagnose.force.fit import EffectFit, ForceProblem
 from ocp.diagnose.rules import KNOCKING, LEAST_WAVES, OVERTONES, PLACE_SURE, RUNS_APART, TRAINS_OFFERED, WAVES_PICKED
 from ocp.effects.belt_splice import LENGTHS, RATES, USUAL
 from ocp.effects.effect import Scanned
-from robots.pose import Array
+from robots.pose import Array, Mask
 
 TURNS = (1, 2, 3, 4)  # waves per revolution of the wheel
 HIGHEST = 0.8  # of half the logging rate
@@ -52,9 +52,7 @@ def telling_waves(problem: ForceProblem, fit: EffectFit) -> tuple[Wave, ...]:
     found = [Wave("turn", float(k), touching[:, None] * _both(k * turned), len(TURNS)) for k in TURNS if np.ptp(turned) > 1.0]
     if not fit.residual.any():  # imagined readings speak for none
         return tuple(found)
-    n = len(log)
-    white = fit.whiteners[0]
-    y = white.back(fit.residual[:n, None])[:, 0]
+    y = fit.whiteners[0].back(fit.residual[: len(log), None])[:, 0]
     if found:
         found += _apart(problem, fit, y, "turn wave" + BY_RUN, np.array(TURNS, float), turned, 1)
     for where, along, weight, highest in _kinds(problem, fit):
@@ -67,7 +65,7 @@ def telling_waves(problem: ForceProblem, fit: EffectFit) -> tuple[Wave, ...]:
         masked = touching * weight
         score = np.abs(_transform(numbers, along, masked * y)) ** 2
         probes = np.unique(np.linspace(0, len(numbers) - 1, LENGTH_PROBES).round().astype(int))
-        sizes = [float(np.sum(white.whole(masked[:, None] * _both(numbers[k] * along)) ** 2)) / 2 for k in probes]
+        sizes = _lengths(fit, masked, numbers[probes], along).sum(axis=1)
         gain = score / np.interp(numbers, numbers[probes], sizes)
         if where == "time wave":
             # Where trains have their tones, up to half the logging rate; slower ones would follow what smooth functions are for.
@@ -116,7 +114,7 @@ def _apart(
 ) -> Iterator[Wave]:
     """Of waves of evenly spaced numbers with a phase of their own in each run, alone and as periods of `most` tones, those that
     gain most, where that is more than chance; none of a single run, of very many, or where none is fast enough."""
-    log, white = problem.log, fit.whiteners[0]
+    log = problem.log
     if not len(numbers) or most * numbers[0] > numbers[-1]:
         return
     runs = [(log.run == r) & log.contact for r in np.unique(log.run[log.contact])]
@@ -124,10 +122,8 @@ def _apart(
     if not 1 < len(each) <= RUNS_APART:
         return
     probes = np.unique(np.linspace(0, len(numbers) - 1, LENGTH_PROBES).round().astype(int))
-    touching = log.contact[:, None]
-    sizes = [each @ np.sum(white.whole(touching * _both(numbers[k] * along)) ** 2, axis=1) / 2 for k in probes]
     gain = np.zeros(len(numbers))
-    for own, size in zip(each, np.array(sizes).T, strict=True):
+    for own, size in zip(each, each @ _lengths(fit, log.contact, numbers[probes], along).T, strict=True):
         gain += np.abs(_transform(numbers, along[own], y[own])) ** 2 / np.interp(numbers, numbers[probes], size)
     for count, name in {most: where.replace("wave", "period"), 1: where}.items():
         tones, able = np.arange(1, count + 1), numbers[numbers * count <= numbers[-1]]
@@ -138,6 +134,12 @@ def _apart(
         columns = np.hstack([_both(tone * best * along) for tone in tones])
         columns = (each.T[:, :, None] * columns[:, None]).reshape(len(log), -1)
         yield Wave(name, best, columns, max(len(numbers) // (2 * most), WAVES_PICKED))
+
+
+def _lengths(fit: EffectFit, weight: Array | Mask, numbers: Array, along: Array) -> Array:
+    """Whitened squares (k, n) of unit waves of numbers (k,) row by row, weighed (n,): means of cosine and sine."""
+    white = fit.whiteners[0]
+    return np.array([np.sum(white.whole(weight[:, None] * _both(g * along)) ** 2, axis=1) / 2 for g in numbers])
 
 
 def _transform(numbers: Array, along: Array, y: Array) -> Array:
@@ -264,11 +266,7 @@ def _sizes(problem: ForceProblem, fit: EffectFit) -> tuple[Array, Array]:
     mask = (log.contact * (c.belt != 0)).astype(float)
     step = float(np.median(np.diff(log.time)[np.diff(log.run) == 0]))
     probes = np.linspace(0.0, 0.5 / step, PROBES)
-    lengths = []
-    for f in probes:
-        wave = mask[:, None] * np.column_stack([np.cos(2 * np.pi * f * c.time), np.sin(2 * np.pi * f * c.time)])
-        lengths.append(np.sum(fit.whiteners[0].whole(wave) ** 2) / 2)
-    return probes, np.array(lengths)
+    return probes, _lengths(fit, mask, probes, c.time).sum(axis=1)
 
 
 def _spectrum(time: Array, y: Array, step: float, span: float) -> tuple[Array, Array]:
