@@ -239,7 +239,7 @@ def test_what_of_the_joint_noise_comes_back(size):
         readings, mean_square = lasting_truth(seed, size)
         c = channel(readings)
         levers = np.sum(c.fit.linear.d_joints**2, axis=(0, 1)) / len(readings)
-        told.append(np.sqrt(background(c.task, c.fit).mean @ levers))
+        told.append(np.sqrt(background(c.task, c.fit).draws.mean(axis=0) @ levers))
         real.append(np.sqrt(mean_square @ levers))
     if size:
         ratio = np.array(told) / real
