@@ -14,7 +14,7 @@ from ocp.calibrate.force.rows import ForceSetup, LogConditions, log_conditions, 
 from ocp.diagnose.engine.channel_system import UNSEEN, Fold, HeldOut, ReadingConditions, Sealed, System, Variants, Wave
 from ocp.diagnose.force.fit import EffectFit, ForceProblem, fit_effects
 from ocp.diagnose.force.held_out import Asked, force_fold_errors, force_folds, predict_sealed_force
-from ocp.diagnose.force.log_averages import LogAverages, Store, log_averages
+from ocp.diagnose.force.log_averages import LogAverages, log_averages
 from ocp.diagnose.force.logged_contact import logged_arm
 from ocp.diagnose.force.prediction import LogScene, M, acts_by_force, effect_derivatives, force_changes
 from ocp.diagnose.force.prior import arm_with_effects, contact_prior, with_setpoints_read_off
@@ -43,14 +43,12 @@ OF_CONDITIONS = ("approach", "time", "s", "travel")
 
 @dataclass(frozen=True)
 class ForceChannel:
-    """A force log with the fit of the believed contact and of the active effects. `store` keeps columns that hardly change,
-    `found` the trains of a belt's splice that were found at first, `made` the
-    conditions that are to be predicted."""
+    """A force log with the fit of the believed contact and of the active effects. `found` keeps the trains of a
+    belt's splice that were found at first, `made` the conditions that are to be predicted."""
 
     problem: ForceProblem
     fit: EffectFit
     effects: tuple[Effect, ...] = field(repr=False, default=())
-    store: Store = field(default_factory=dict, repr=False)
     before: "ForceChannel | None" = field(default=None, repr=False)
     judged: dict[tuple[object, ...], "ForceChannel"] = field(default_factory=dict, repr=False)
     found: dict[str, SpliceTrains] = field(default_factory=dict, repr=False)
@@ -103,7 +101,7 @@ class ForceChannel:
     @cached_property
     def averages(self) -> LogAverages:
         """Which rows the system has."""
-        return log_averages(self.problem, self.fit, self.effects, self.surroundings, self.store, self.waves)
+        return log_averages(self.problem, self.fit, self.effects, self.surroundings, self.waves)
 
     @cached_property
     def system(self) -> System:

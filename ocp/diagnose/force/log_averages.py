@@ -18,12 +18,10 @@ from ocp.diagnose.engine.kernels import BY_RUN
 from ocp.diagnose.force.fit import EffectFit, ForceProblem
 from ocp.diagnose.force.prediction import effect_derivatives
 from ocp.diagnose.rules import FAST_LAMBDA, FAST_SHARE
-from ocp.effects.effect import Effect, Scanned, Surroundings
+from ocp.effects.effect import Effect, Surroundings
 from robots.pose import Array
 
 TOGETHER = 24  # variants evaluated at once
-
-Store = dict[str, tuple[tuple[Scanned, ...], Array]]  # fast columns (n, V m) of fn by effect: they hardly depend on the fit
 
 
 @dataclass(frozen=True)
@@ -71,7 +69,7 @@ class LogAverages:
 
 
 def log_averages(
-    problem: ForceProblem, fit: EffectFit, effects: Iterable[Effect], around: Surroundings, store: Store, waves: Sequence[Wave]
+    problem: ForceProblem, fit: EffectFit, effects: Iterable[Effect], around: Surroundings, waves: Sequence[Wave]
 ) -> LogAverages:
     """The rows for this fit: fast patterns of `effects`, of all that is active and of waves that were picked."""
     n, count = len(problem.log), len(fit.whiteners)
@@ -86,8 +84,10 @@ def log_averages(
     for effect in effects:
         if effect.on_arm or effect.along is not None or not _is_fast(problem, fit, effect, around):
             continue
-        made = _whole(problem, fit, effect, tuple(effect.scan(0, around)), store)
-        chosen += [_lost(fit, [c[v] for c in made]) for v in range(len(made[0]))]
+        scans = effect.scan(0, around)
+        for start in range(0, len(scans), TOGETHER):
+            made = effect_derivatives(problem.scene, fit.at, fit.slopes, effect, 0, scans[start : start + TOGETHER])
+            chosen += [] if made is None else [_lost(fit, made[:, v]) for v in range(made.shape[1])]
     patterns = _orthonormal(np.concatenate(chosen, axis=2))
     back = np.stack([w.back(p) for w, p in zip(fit.whiteners, patterns, strict=True)])
     return LogAverages(fit.whiteners, patterns, back, slopes)
@@ -110,21 +110,6 @@ def _is_fast(problem: ForceProblem, fit: EffectFit, effect: Effect, around: Surr
     whole = sum(float(np.sum(c**2)) for c in white)
     lost = sum(float(np.sum(w.lost(c) ** 2)) for w, c in zip(fit.whiteners, white, strict=False))
     return lost > FAST_LAMBDA and lost > FAST_SHARE * whole
-
-
-def _whole(problem: ForceProblem, fit: EffectFit, effect: Effect, scans: Sequence[Scanned], store: Store) -> list[Array]:
-    """Columns (V, n, m) of each signal; those of a family of many are evaluated once."""
-    known = store.get(effect.name)
-    if known is not None and len(known[0]) == len(scans):
-        return [known[1][s] for s in range(len(fit.whiteners))]
-    parts = []
-    for start in range(0, len(scans), TOGETHER):
-        made = effect_derivatives(problem.scene, fit.at, fit.slopes, effect, 0, scans[start : start + TOGETHER])
-        assert made is not None
-        parts.append(made[: len(fit.whiteners)])
-    columns = np.concatenate(parts, axis=1)
-    store[effect.name] = (tuple(scans), columns)
-    return list(columns)
 
 
 def _orthonormal(columns: Array) -> Array:

@@ -330,7 +330,7 @@ def _ground(log: ForceLog, rows: Index, sizes: list[int], contact: Mask) -> Inde
 def more_grinding(channel: ForceChannel, pairs: Sequence[RivalPair]) -> tuple[Shared, list[tuple[PlannedGrinding, Shared]]]:
     """The log's own rows, and those of every candidate with the nuisance in common."""
     some = _looked_at(channel, pairs)
-    own = Shared(replace(channel, effects=some, store={}))
+    own = Shared(replace(channel, effects=some))
     return own, [(g, Shared(foreseen_force(channel, g.log, g.rows, some))) for g in grindings(channel)]
 
 
