@@ -129,13 +129,13 @@ def _remedy(made: TrackerCalibration) -> str:
     return "measure more postures, and check that units, orientations and names are as docs/formats.md has them"
 
 
-def logged_cell(cell_file: Path, force: Path, mapping: ColumnMapping = OURS) -> tuple[Cell, ForceLog]:
-    """The cell, and the log of what was ground in it.
+def logged_cell(cell_file: Path, force: Path, mapping: ColumnMapping = OURS, blade: Path | None = None) -> tuple[Cell, ForceLog]:
+    """The cell, and the log of what was ground in it; `blade`: the file of that blade, where it is not the cell's own.
 
     Raises BadInput: the cell has no blade or wheel, the log is malformed, is not of this cell, or its sensor saturates.
     """
     log = read_force_log(force, mapping=mapping)
-    cell = read_cell(cell_file)
+    cell = read_cell(cell_file, blade)
     if cell.workpiece.stl is None:
         raise BadInput(f"{cell_file}: workpiece.stl is missing; a force log needs the blade that was ground")
     refuse_force_unit(log, cell)

@@ -14,6 +14,7 @@ app = command_line()
 def _update(
     force: Annotated[Path, typer.Argument(help="force log of the last blade, force.csv")],
     cell: Annotated[Path, typer.Option(help="the cell file that the blade was ground with")],
+    blade: Annotated[Path | None, typer.Option(help="that blade's file; without it the cell's own")] = None,
     removal: Annotated[Path | None, typer.Option(help="depths measured on that blade, removal.csv")] = None,
     changed: Annotated[
         list[str] | None,

@@ -169,6 +169,7 @@ def update(
     force: str | Path,
     *,
     cell: str | Path,
+    blade: str | Path | None = None,
     out: str | Path = "update",
     removal: str | Path | None = None,
     changed: Sequence[str] = (),
@@ -179,6 +180,7 @@ def update(
     measured on that blade, `removal` (removal.csv): where it sits, the cover, Preston's coefficient. Write cell, calibration and
     report into `out`.
 
+    blade: the file of the blade that was ground, where it is not the cell's own.
     changed: what was changed since the last update, of wheel, blade (its holder), flange, belt, sensor: known as at first again.
     Raises BadInput: an argument or a file is not what it should be; Infeasible: the log cannot be of this cell as it was last
     known. Nothing is written then.
@@ -186,10 +188,11 @@ def update(
     log_file, cell_file, phases = Path(force), Path(cell), Phases(progress)
     depths = None if removal is None else Path(removal)
     parts = _known_parts(changed)
-    inputs = [log_file, *((depths,) if depths is not None else ()), *files_of(cell_file)]
+    ground = None if blade is None else Path(blade)
+    inputs = [log_file, *(file for file in (ground, depths) if file is not None), *files_of(cell_file)]
     with reserved(Path(out), overwrite, inputs) as output:
         measured = None if depths is None else read_removal(depths)
-        believed, log = logged_cell(cell_file, log_file)
+        believed, log = logged_cell(cell_file, log_file, blade=ground)
         if "flange" in parts and believed.flange is None:
             raise BadInput(f"--changed flange: {cell_file} has no [force_flange]; leave it out")
         history = history_of(believed.calibration, cell_file)

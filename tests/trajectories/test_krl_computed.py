@@ -72,6 +72,15 @@ def test_every_way_to_set_the_feed_is_read(body, speed, tmp_path):
         assert (first.frames.tool_no, first.frames.base_no, first.frames.external_tcp) == (3, 4, True)
 
 
+def test_a_set_override_is_told(tmp_path):
+    segments(tmp_path, "$VEL.CP=0.04\n$OV_PRO=50\n" + PATH)
+    told = execute(tmp_path / "old.src", strict=False)
+    assert told.segments[0].speed == 0.04
+    assert told.notices == ("old.src, line 5: the override is set; feeds are taken as $VEL.CP has them, not slower by it",)
+    segments(tmp_path, "$OV_PRO=100\n" + PATH)
+    assert not execute(tmp_path / "old.src", strict=False).notices
+
+
 def test_an_outer_axis_that_moves_along_the_path_is_refused(tmp_path):
     moved = PLACES.replace("C 6,E1 0}", "C 6,E1 7}", 1)
     with pytest.raises(BadInput, match=r"line 5: the outer axis E1 goes from 7 to 0 along the path"):

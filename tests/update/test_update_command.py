@@ -11,6 +11,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import trimesh
 
 from ocp.api import UpdateResult, update
 from ocp.calibrate.force.fit import FIT_NAMES
@@ -176,6 +177,22 @@ def test_bad_input_is_one_sentence_and_nothing_is_written(done, tmp_path):
         assert answer.code == 2 and answer.out == "", (arguments, answer.err)
         assert said in answer.err and answer.err.count("\n") == 1, answer.err
         assert not (tmp_path / "update").exists()
+
+
+def test_a_night_of_blades_is_logged_in_one_cell(done, tmp_path):
+    """The cell names the first blade, or none; the log is of another, whose file is handed in."""
+    cell = done.folder / "first" / "cell.toml"
+    named = next(line for line in cell.read_text().splitlines() if line.startswith("stl = "))
+    turned = trimesh.load(read_cell(cell).workpiece.stl)
+    turned.apply_transform(trimesh.transformations.rotation_matrix(np.pi, [0, 0, 1]))
+    turned.export(tmp_path / "other.stl")
+    other = done.folder / "first" / "other.toml"
+    other.write_text(cell.read_text().replace(named, f'stl = "{tmp_path}/other.stl"'))
+    answer = called(app, tmp_path, done.folder / "next.csv", "--cell", other)
+    assert answer.code == 2 and "is it the same blade" in answer.err, answer.err
+    made = update(done.folder / "next.csv", cell=other, blade=read_cell(cell).workpiece.stl, out=tmp_path / "second")
+    np.testing.assert_array_equal(made.calibration.values, done.second.calibration.values)
+    assert read_cell(tmp_path / "second" / "cell.toml").workpiece.stl.name == "other.stl"
 
 
 def test_a_log_that_cannot_be_of_this_cell_is_said(done, tmp_path):

@@ -206,6 +206,8 @@ class _Runner:
             self.frames = replace(self.frames, external_tcp=value.text.upper() == "#TCP")
         elif target in PATH and isinstance(value, syntax.Number):
             self.path[target] = value.value
+        elif target == "$OV_PRO" and getattr(value, "value", None) != 100:
+            self.notices.append(f"{where}: the override is set; feeds are taken as $VEL.CP has them, not slower by it")
         elif target in ("$VEL", "$ACC") and isinstance(value, syntax.Aggregate):
             told = {f"{target}.{name}": number.value for name, number in value.items if isinstance(number, syntax.Number)}
             self.path |= {name: number for name, number in told.items() if name in PATH}
