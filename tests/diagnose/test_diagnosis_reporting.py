@@ -58,6 +58,25 @@ def test_names_that_cannot_be_told_apart_are_both_in_the_sentence():
     assert verdict_sentence._or_what_it_may_be(drift, ((play, windup),)) == verdict_sentence.effect_words(drift)
 
 
+@pytest.mark.parametrize("second", ["backlash", "friction_windup"])
+def test_of_a_cause_with_two_names_it_is_told_that_it_is_certain(second):
+    """No name alone has 95 %, their class has; what is not settled is what comes with it."""
+    play, windup, gear = Name("backlash", 1), Name("friction_windup", 1), Name("gear_2x", 1)
+    sets = (((play,), 0.6), (tuple(sorted((Name(second, 1), gear))), 0.3), ((windup,), 0.08))
+    found = SimpleNamespace(
+        verdict="ambiguous",
+        active=(1,),
+        classes=((play, windup),),
+        explanations=[SimpleNamespace(names=names, probability=p) for names, p in sets],
+        ranking=[SimpleNamespace(name=name, probability=p) for name, p in ((play, 0.7), (windup, 0.28), (gear, 0.3))],
+    )
+    told = verdict_sentence.verdict_sentence(SimpleNamespace(diagnosis=found, gaps=()))
+    assert told.startswith(
+        "Backlash of joint 1 or friction windup of joint 1 is there for certain; what comes with it is not settled"
+    )
+    assert "nothing more (68 %) or error of joint 1 twice per turn (30 %)" in told
+
+
 @pytest.mark.parametrize(
     ("verdict", "active", "written", "told", "safe"),
     [

@@ -3,6 +3,7 @@
 With it effects, conditions and figures as a person says them.
 """
 
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -162,19 +163,24 @@ def verdict_sentence(answer: Answer) -> str:
     if d.verdict == "explained":
         told = f"{what} {verb} the gap (sure to {percent(best.probability)})"
         return f"{told}. {_levels(answer)}{_still(answer)}{_promise(answer)}."
-    certain = [r.name for r in d.ranking if r.probability >= CERTAIN and r.name in best.names]
+    of = {name: _same(name, d.classes) for name in best.names}
+    certain = [n for n, same in of.items() if sum(e.probability for e in d.explanations if same & {*e.names}) >= CERTAIN]
     if certain:
-        verb = "is" if len(certain) == 1 else "are"
-        first = f"{_capital(effects_words(certain))} {verb} there for certain; what comes with it is not settled"
+        sure = _capital(listed([_or_what_it_may_be(name, d.classes) for name in certain]))
+        first = f"{sure} {'is' if len(certain) == 1 else 'are'} there for certain; what comes with it is not settled"
     else:
         first = f"{what} is the likeliest cause, with {percent(best.probability)}, but not settled"
-    return f"{first}{_alternatives(answer, certain)}. {_levels(answer)}{_promise(answer)}."
+    return f"{first}{_alternatives(answer, set().union(*(of[name] for name in certain)))}. {_levels(answer)}{_promise(answer)}."
+
+
+def _same(name: Name, classes: Sequence[tuple[Name, ...]]) -> set[Name]:
+    """A name and what the data cannot tell from it."""
+    return {name}.union(*(group for group in classes if name in group))
 
 
 def _or_what_it_may_be(name: Name, classes: Sequence[tuple[Name, ...]]) -> str:
     """'backlash of joint 1 or friction windup of joint 1', where the data cannot tell them apart."""
-    others = [one for group in classes if name in group for one in group if one != name]
-    return " or ".join(effect_words(one) for one in (name, *others))
+    return " or ".join(effect_words(one) for one in (name, *sorted(_same(name, classes) - {name})))
 
 
 def _remainder(answer: Answer) -> str:
@@ -215,13 +221,14 @@ def _ripple(answer: Answer) -> str:
     return f" (a ripple near {peak.order:g} waves a turn)" if goes and peak is not None and peak.order >= LEAST_WAVES else ""
 
 
-def _alternatives(answer: Answer, certain: Sequence[Name]) -> str:
+def _alternatives(answer: Answer, certain: set[Name]) -> str:
     """': A (33 %), B (16 %) or nothing more (12 %)', the explanations less what is certain."""
-    told = []
-    for e in answer.diagnosis.explanations[:4]:
-        if e.probability > 0.05:
-            rest = [name for name in e.names if name not in certain]
-            told.append(f"{effects_words(rest) if rest else 'nothing more'} ({percent(e.probability)})")
+    shares = defaultdict[tuple[Name, ...], float](float)
+    for e in answer.diagnosis.explanations:
+        shares[tuple(name for name in e.names if name not in certain)] += e.probability
+    told = [
+        f"{effects_words(rest) if rest else 'nothing more'} ({percent(p)})" for rest, p in list(shares.items())[:4] if p > 0.05
+    ]
     if not told:
         return ""
     return f": {', '.join(told[:-1])} or {told[-1]}" if len(told) > 1 else f": {told[0]}"
