@@ -1,6 +1,7 @@
 """The engine on numbers alone: evidence against integration, projection, search, classes, honest p-values."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from ocp.diagnose.engine.findings import Name, Options
 from ocp.diagnose.engine.linearisation import linearised, positive_of
 from ocp.diagnose.engine.pool import Member, given, scan, scan_one
 from ocp.diagnose.rules import NOISE_TRUST, TAILS, TAILS_TOLD, WRONG_SIGN
-from ocp.diagnose.verdict.diagnosis import diagnose_channels
+from ocp.diagnose.verdict.diagnosis import diagnose_channels, refitted
 from ocp.diagnose.verdict.location import kernel_tests
 from ocp.effects.catalogue import library
 from robots.gauss_newton import linear_step
@@ -332,3 +333,10 @@ def test_posterior_covers():
 def test_a_share_with_a_sign_beside_it_may_be_negative():
     assert not positive_of(library()["sensor_crosstalk"]).any()
     assert positive_of(library()["wheel_wear"]).all() and positive_of(library()["joint_compliance"]).all()
+
+
+def test_without_names_nothing_is_corrected():
+    """A fit that the search came back to may set other readings aside than the baseline's: two arms, no effect between them."""
+    baseline, searched = (LinearChannel(np.zeros(4), np.zeros((4, 1)), np.ones(1), {}) for _ in range(2))
+    (found,) = refitted((baseline,), SimpleNamespace(channels=(searched,)), ())
+    assert found is baseline

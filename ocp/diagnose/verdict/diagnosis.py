@@ -284,14 +284,14 @@ def cancelling(names: Sequence[Name], signatures: Sequence[Array]) -> list[tuple
 
 
 def refitted(baseline: Sequence[Channel], problem: Linearisation, active: tuple[Active, ...]) -> tuple[Channel, ...] | None:
-    """Channels of all readings with the effects active; those of the search where they are that already; None where no fit with
-    them comes to rest."""
+    """Channels of all readings with the effects active, the baseline where none is; those of the search where they are that
+    already; None where no fit with them comes to rest."""
     found = []
     for whole, searched in zip(baseline, problem.channels, strict=True):
         visible = tuple(a for a in active if not whole.blind(a.effect))
         same = effects_key(searched.active, 2) == effects_key(visible, 2) and len(searched.gap()) == len(whole.gap())
         try:
-            found.append(searched if same else whole.with_active(active))
+            found.append(whole if not visible else searched if same else whole.with_active(active))
         except Infeasible:
             return None
     return tuple(found)
