@@ -68,7 +68,7 @@ def signal_gap(diagnosis: Diagnosis, before: Channel, after: Channel, sealed: An
     left = remaining(after, diagnosis.left_over)
     left = Remaining(scale * left.above_noise, left.p_value)
     figures = before.name, before.unit, after.noise_floor, sizes[0], sizes[1]
-    beyond = _with_same_readings(held, _beyond_measured(after, sealed)) if asked else ()
+    beyond = kinds_beyond(after, held, sealed) if asked else ()
     return SignalGap(*figures, shrinkage, promise, told, left, before, after, asked, beyond, shown)
 
 
@@ -111,6 +111,11 @@ def _of_rows(channel: Channel) -> Remaining:
     gap = channel.gap()[~outliers(channel)]
     square = float(np.mean(np.sum(gap.reshape(len(gap), -1) ** 2, axis=1)))
     return Remaining(float(np.sqrt(max(square * (1.0 - 1.0 / max(ratio, 1.0)), 0.0))), float(fdtrc(freedom, NOISE_TRUST, ratio)))
+
+
+def kinds_beyond(channel: Channel, held: Sequence[HeldOut], sealed: Any) -> tuple[str, ...]:
+    """Kinds of new data of which most of the conditions `sealed` are, by all names that folds have for them."""
+    return _with_same_readings(held, _beyond_measured(channel, sealed))
 
 
 def _with_same_readings(held: Sequence[HeldOut], kinds: Sequence[str]) -> tuple[str, ...]:

@@ -14,14 +14,14 @@ import numpy as np
 from ocp.diagnose.engine.channel_system import Channel, Scattering, Sealed
 from ocp.diagnose.engine.findings import Alternative, Diagnosis, summing_to
 from ocp.diagnose.engine.kernels import conditions_by_name
-from ocp.diagnose.foresee.anticipated import modelled
+from ocp.diagnose.foresee.anticipated import kinds_beyond, modelled
 from ocp.diagnose.foresee.planned_tracker import channel_about
 from ocp.diagnose.rules import CARRIED_PATCH, LEADS
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.diagnose.verdict.answer import Followed, Patched
 from ocp.diagnose.verdict.diagnosis import errors_of_folds
 from ocp.diagnose.verdict.patching import is_patch, read_beside, unfaded, with_further
-from ocp.diagnose.verdict.shrinkage import Shrinkage
+from ocp.diagnose.verdict.shrinkage import Shrinkage, promised_by_kind
 from ocp.effects.effect import Active, effects_key
 from ocp.effects.engine.readings import displaced, has_columns, motion
 from ocp.effects.patch import lengths_outside
@@ -64,12 +64,15 @@ def _as_seen(before: Channel, written: tuple[Active, ...], patches: tuple[Active
 
 
 def patched(found: Followed, named: Shrinkage | None, sealed: Any = None) -> Patched | None:
-    """The patch that does no harm and promises more than the written names alone (`named`: what they promise); None: the low end
-    of its promise is not above zero."""
+    """The patch that does no harm and promises more than the written names alone (`named`: what they promise). None: the low end
+    of its promise is not above zero; or it is asked for beyond what was measured, and readings left out as far beyond do not say
+    that it helps: in the promise the truth goes on as at the edge, which what settles, or warms up anew, does not."""
     held = errors_of_folds([found.after], found.after.active)[found.after.name]
     promise, asked = modelled(found, held, 1.0, CARRIED_PATCH, sealed)
-    less = 0.0 if named is None else named.predicted
-    if promise is None or promise.low <= 0.0 or promise.predicted <= less:
+    if promise is None or promise.low <= 0.0 or (named is not None and promise.predicted <= named.predicted):
+        return None
+    kinds = promised_by_kind(held)
+    if asked and any(k in kinds and kinds[k].predicted <= 0.0 for k in kinds_beyond(found.after, held, sealed)):
         return None
     return Patched(found.after, promise, found.others[1:], asked)
 

@@ -226,12 +226,8 @@ def _alternatives(answer: Answer, certain: set[Name]) -> str:
     shares = defaultdict[tuple[Name, ...], float](float)
     for e in answer.diagnosis.explanations:
         shares[tuple(name for name in e.names if name not in certain)] += e.probability
-    told = [
-        f"{effects_words(rest) if rest else 'nothing more'} ({percent(p)})" for rest, p in list(shares.items())[:4] if p > 0.05
-    ]
-    if not told:
-        return ""
-    return f": {', '.join(told[:-1])} or {told[-1]}" if len(told) > 1 else f": {told[0]}"
+    told = [f"{effects_words(r) if r else 'nothing more'} ({percent(p)})" for r, p in list(shares.items())[:4] if p > 0.05]
+    return f": {', '.join(told[:-1])} or {told[-1]}" if len(told) > 1 else "".join(f": {one}" for one in told)
 
 
 def _levels(answer: Answer) -> str:
