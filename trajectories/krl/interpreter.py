@@ -1,7 +1,8 @@
 """Runs KRL statements as a robot would: motions in order, with frames and times (trajectories.program.execution)."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -107,7 +108,8 @@ class _Runner:
                 block, kind, end, clause = [], s.kind, None, s.clause
             elif isinstance(s, syntax.BlockEnd):
                 if block:
-                    self.segments.append(self._by_clause(clause, kind, block, end, path.name, names))
+                    with self._alone(clause, names):
+                        self.segments.append(self._segment(kind, block, end, path.name, names))
                 block = None
             elif isinstance(s, syntax.MotionStatement):
                 if block is not None:
@@ -115,7 +117,8 @@ class _Runner:
                     if CLAUSE_FEED.search(s.clause):
                         self.notices.append(f"{where}: the speed of one point of a spline block is passed over")
                 elif self._known(s, names, where):
-                    self.segments.append(self._by_clause(s.clause, s.kind, [(s, None)], None, path.name, names))
+                    with self._alone(s.clause, names):
+                        self.segments.append(self._segment(s.kind, [(s, None)], None, path.name, names))
             elif isinstance(s, syntax.TimeBlock) and block:
                 if s.what == "PART":
                     block[-1] = (block[-1][0], s.value)
@@ -265,24 +268,16 @@ class _Runner:
         if isinstance(mode, syntax.Word):
             self.frames = replace(self.frames, external_tcp=mode.text.upper() == "#TCP")
 
-    def _by_clause(
-        self,
-        clause: str,
-        word: str,
-        points: list[tuple[syntax.MotionStatement, syntax.Number | None]],
-        end: syntax.Number | None,
-        file: str,
-        names: dict[str, syntax.Declaration],
-    ) -> KrlSegment:
-        """A segment with the feed and frames that its WITH gives it alone."""
+    @contextmanager
+    def _alone(self, clause: str, names: dict[str, syntax.Declaration]) -> Iterator[None]:
+        """The feed and frames that a WITH gives to its motion alone."""
         before = self.frames, dict(self.path), dict(self.computed)
         if feed := CLAUSE_FEED.search(clause):
             self.path["$VEL.CP"] = float(feed[1])
         if (form := CLAUSE_FRAMES.search(clause)) and form[1].upper() in names:
             self._inline_frames(names[form[1].upper()].value)
-        made = self._segment(word, points, end, file, names)
+        yield
         self.frames, self.path, self.computed = before
-        return made
 
     def _segment(
         self,

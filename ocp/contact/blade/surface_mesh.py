@@ -169,7 +169,7 @@ def _collapse(points: Array, faces: Index, error: Array, size: SizeLaw, toleranc
     error, count, wished = error.copy(), len(points), size(points)
     chance = np.random.default_rng(0)
     known, cost, dirty = np.empty(0, np.int64), np.empty(0), np.ones(count, bool)
-    crowded = True
+    crowded = len(faces) > CROWDED
     for _ in range(60):
         edges = edges_of(faces)
         side = points[edges.ends[:, 0]] - points[edges.ends[:, 1]]
