@@ -21,7 +21,7 @@ from robots.errors import BadInput
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-VERSION = "volume mesh 4"  # part of the cache key: raise it when results change
+VERSION = "volume mesh 5"  # part of the cache key: raise it when results change
 FINE = 0.25  # edge length at the clamp plane, of the element size
 GROWTH = 0.3  # of edge length per distance from that plane
 TOLERANCE = 1e-5  # m the remeshed surface may leave the STL; a hundredth of the thickness of a 1 mm blade
