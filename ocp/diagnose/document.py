@@ -6,9 +6,9 @@ from functools import partial
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, AliasChoices, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
-from ocp.diagnose.engine.findings import Diagnosis, Experiment, Location, Ranked
+from ocp.diagnose.engine.findings import Diagnosis, Location, Ranked
 from ocp.diagnose.rules import LEAST_BUDGET, LISTED, MOST_BUDGET, MOST_LISTED
 from ocp.diagnose.verdict.answer import Answer, Patched, SignalGap, figures
 from ocp.diagnose.verdict.patching import formula_of
@@ -179,7 +179,7 @@ class ExperimentJson(JsonObject):
     """That it takes."""
     tells_apart: list[str]
     """Explanations between which it decides."""
-    expected_probability: Share
+    expected_probability: Share = Field(validation_alias=AliasChoices("expected_probability", "expected"))
     """Of the true one afterwards."""
 
 
@@ -254,7 +254,7 @@ def document_of(answer: Answer) -> Document:
         "remaining": {gap.name: _remaining(gap, d.remainder) for gap in answer.gaps},
         "patch": None if answer.patch is None else {answer.patch.channel.name: _patch(answer.patch)},
         "blind_spots": answer.blind,
-        "next_experiment": [_experiment(e) for e in answer.next],
+        "next_experiment": answer.next,
     }
     return Document.model_validate(content | _probabilities(d))
 
@@ -272,7 +272,7 @@ def _probabilities(d: Diagnosis) -> dict[str, Any]:
 
 def _rank(r: Ranked) -> dict[str, Any]:
     known = {p.key: p.unit for p in r.active.effect.parameters}
-    sd, values = r.active.deviations, r.active.parameters.items()
+    sd, values = r.deviations, r.active.parameters.items()
     parameters = {key: {"value": _plain(v), "sd": _plain(sd.get(key)), "unit": known.get(key, "")} for key, v in values}
     figures_of = {"probability": r.probability, "log_evidence": r.log_evidence, "detectability": r.detectability}
     return asdict(r.name) | figures_of | {"parameters": parameters}
@@ -308,7 +308,3 @@ def _patch(patch: Patched) -> dict[str, Any]:
     formula = "; ".join(formula_of(one) for one in patch.patches)
     measured = {name: (low, high) for one in patch.patches for name, low, high in one.scanned["range"]}
     return {"shrinkage": patch.shrinkage, "asked": patch.asked, "formula": formula, "range": measured}
-
-
-def _experiment(e: Experiment) -> dict[str, Any]:
-    return {"do": e.do, "minutes": e.minutes, "tells_apart": e.tells_apart, "expected_probability": e.expected}

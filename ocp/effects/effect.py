@@ -216,6 +216,19 @@ class Active:
         return out
 
 
+def deviations_among(one: Active, likely: Sequence[tuple[float, Active]]) -> dict[str, Any]:
+    """Standard deviations by key of an effect that may as well have other scanned values: `likely` are effects with their
+    probabilities, itself among them. Mean squares about its own values; of an order too, which is scanned."""
+    squares: dict[str, Array] = {}
+    for share, other in likely:
+        within, values = other.deviations, other.parameters
+        for key in [*within, *(k for k in ("order",) if k in other.scanned)]:
+            off = np.asarray(values[key], float) - np.asarray(one.parameters[key], float)
+            off = _short_way(off) if key == "phase_rad" else off
+            squares[key] = squares.get(key, 0.0) + share * (off**2 + np.asarray(within.get(key, 0.0)) ** 2)
+    return {key: np.sqrt(square).tolist() for key, square in squares.items() if np.any(square > 0)}
+
+
 def effects_key(active: Sequence[Active], digits: int = 9) -> tuple[Any, ...]:
     """Effects, joints and scanned values, what a refit does not change, whatever their order; digits: of scanned numbers, two
     where finer ones are no other effect."""
@@ -247,8 +260,12 @@ def _slope(effect: Effect, a: Array, scanned: Scanned, i: int, step: float, keys
     """Derivative of the parameters in coefficient i by central differences; phases the short way round."""
     up, down = (effect.values(a + sign * step * np.eye(len(a))[i], scanned) for sign in (1.0, -1.0))
     change = {key: np.asarray(up[key], float) - np.asarray(down[key], float) for key in keys}
-    turned = {key: (d + np.pi) % (2 * np.pi) - np.pi if key == "phase_rad" else d for key, d in change.items()}
-    return {key: d / (2 * step) for key, d in turned.items()}
+    return {key: (_short_way(d) if key == "phase_rad" else d) / (2 * step) for key, d in change.items()}
+
+
+def _short_way(turn: Array) -> Array:
+    """Angles rad as they are turned the short way round."""
+    return (turn + np.pi) % (2 * np.pi) - np.pi
 
 
 def amplitude_and_phase(a: Array) -> tuple[float, float]:

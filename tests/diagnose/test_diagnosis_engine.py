@@ -330,6 +330,25 @@ def test_posterior_covers():
     assert 0.86 < inside / 400 < 0.94
 
 
+def test_a_value_is_as_unsure_as_the_order_of_its_wave():
+    """Far from angle zero a wave of the next order fits nearly as well, at another phase."""
+    orders, q = (3, 4, 5, 6, 7), np.linspace(2.0, 2.5, 80)
+    waves = np.stack([np.column_stack([np.cos(n * q), np.sin(n * q)]) for n in orders])
+    library = {"wave": effect("wave", prior_sd=(1.0, 1.0), scans=tuple({"order": n} for n in orders), low=0.9)}
+    inside, alone = 0, 0
+    for seed in range(50):
+        rng = np.random.default_rng(seed)
+        a = rng.normal(size=2)
+        y = waves[rng.integers(5)] @ a + rng.normal(size=80)
+        whole = linearised([LinearChannel(y, np.zeros((80, 1)), np.ones(1), {("wave", 0): waves})], library, Options())
+        best = weigh(whole.pool, [0])
+        (one,) = whole.values(best)
+        off, sd = abs(one.parameters["a0"] - a[0]), whole.deviations(best, one)
+        inside, alone = inside + (off < 1.645 * sd["a0"]), alone + (off < 1.645 * one.deviations["a0"])
+    assert 38 <= inside <= 49 and alone < 28, (inside, alone)
+    assert 0.0 < sd["order"] < 2.0
+
+
 def test_a_share_with_a_sign_beside_it_may_be_negative():
     assert not positive_of(library()["sensor_crosstalk"]).any()
     assert positive_of(library()["wheel_wear"]).all() and positive_of(library()["joint_compliance"]).all()

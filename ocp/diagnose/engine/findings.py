@@ -67,13 +67,15 @@ def summing_to(whole: float, listed: Sequence[Alternative]) -> tuple[Alternative
 @dataclass(frozen=True)
 class Ranked:
     """An effect and joint: marginal probability, log evidence (best explanation with it over best without), values with
-    covariance (given the best explanation with it), detectability lambda = score of its value under the projection."""
+    covariance (given the best explanation with it), detectability lambda = score of its value under the projection, standard
+    deviations of the values by key, over variants too."""
 
     name: Name
     probability: float
     log_evidence: float
     active: Active
     detectability: float
+    deviations: dict[str, object] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

@@ -13,8 +13,8 @@ from ocp.diagnose.engine.channel_system import Channel, ReadingRows
 from ocp.diagnose.engine.evidence import RANK, SIZES, Rival, Stack, size_grid, stack, visible_lambda
 from ocp.diagnose.engine.findings import Name, Options
 from ocp.diagnose.engine.kernels import Kernel, kernels
-from ocp.diagnose.engine.pool import CandidatePool, Family, Given, Member, given, make_pool, most_telling
-from ocp.effects.effect import Active, Effect, Scanned, scan_key
+from ocp.diagnose.engine.pool import CandidatePool, Family, Given, Member, given, make_pool, most_telling, scan_one
+from ocp.effects.effect import Active, Effect, Scanned, deviations_among, scan_key
 from robots.gauss_newton import linear_step
 from robots.pose import Array
 
@@ -266,6 +266,19 @@ class Linearisation:
                 scanned = family.scans[m.variant]
                 found.append(Active(family.effect, family.name.joint, step.change[block] * family.scale, scanned, scaled))
         return tuple(sorted(found, key=lambda a: a.key))
+
+    def deviations(self, weighed: Weighed, one: Active) -> dict[str, object]:
+        """Standard deviations of an effect's values by key, over its variants that the readings hardly tell apart: a wave fits
+        nearly as well with the next order, at another phase."""
+        m = self.member(weighed, Name(*one.key))
+        others = tuple(other for other in weighed.members if other is not m)
+        log = np.logaddexp.reduce(scan_one(self.pool, given(self.pool, others), m.family)[0], axis=1)
+        share = np.exp(log - np.logaddexp.reduce(log))
+        likely = []
+        for v in np.flatnonzero(share > rules.LISTED):
+            found = self.values(replace(weighed, members=(*others, m._replace(variant=int(v)))))
+            likely += [(float(share[v]), other) for other in found if other.key == one.key]
+        return deviations_among(one, likely)
 
     def taken(self, weighed: Weighed) -> Given:
         """The set as given, with priors at the upper ends: what a fit of it takes from the data."""

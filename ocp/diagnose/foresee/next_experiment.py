@@ -131,13 +131,13 @@ def rival_pairs(d: Diagnosis, library: dict[str, Effect]) -> list[RivalPair]:
 
 
 def _by_tracker(channel: TrackerChannel, pairs: Sequence[RivalPair], others: Sequence[ReadingRows]) -> list[Experiment]:
-    joints = tuple(sorted({p.first.name.joint for p in pairs} | {p.joint for p in pairs} - {0}))[:4]
+    joints = tuple(sorted({j for p in pairs for j in (p.first.name.joint, p.joint)} - {0}))[:4]
     seen = [p for p in pairs if shows(channel, p.first.active)]
     if not seen:
         return []
     now = {p.names: unlike([channel], p, others) for p in seen}
     found = []
-    for candidate in planned_measurements(channel, tuple(j for j in joints if j)):
+    for candidate in planned_measurements(channel, joints):
         there = channel_about(channel, candidate.readings)
         found += [_expected(candidate, p, unlike([channel, there], p, others) - now[p.names]) for p in seen]
     return found + [e for p in seen for e in _without_the_robot(channel, p, unlike([channel], p))]
@@ -190,8 +190,7 @@ def _by_levers(channel: Channel, pairs: Sequence[RivalPair]) -> list[Experiment]
         for p in pairs:
             moved = [name.split(":")[0] in lever.moves.split() for name in p.names]
             if (moved[0] != moved[1] or (p.rival is None and moved[0])) and shows(channel, p.first.active):
-                gained = rules.EXPERIMENT_REPEATED * p.first.detectability
-                found.append(_expected(lever, p, gained))
+                found.append(_expected(lever, p, rules.EXPERIMENT_REPEATED * p.first.detectability))
     return found
 
 
@@ -234,6 +233,5 @@ def _for_unknown(d: Diagnosis) -> tuple[Experiment, ...]:
         return ()
     channel = next(c for c in d.channels if isinstance(c, TrackerChannel))
     sweep = planned_measurements(channel, (at.joint,))[-1]
-    return (
-        Experiment(sweep.do, sweep.minutes, ("an effect outside the catalogue", NOTHING), float(np.clip(d.p_unknown, 0.9, 1.0))),
-    )
+    names = ("an effect outside the catalogue", NOTHING)
+    return (Experiment(sweep.do, sweep.minutes, names, float(np.clip(d.p_unknown, 0.9, 1.0))),)

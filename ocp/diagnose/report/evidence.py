@@ -41,7 +41,7 @@ def ranking_table(answer: Answer) -> Table:
     rows = []
     for r in d.ranking[:MOST]:
         numbers = (f"{r.probability:.3f}", f"{r.log_evidence:+.1f}", f"{r.detectability:.0f}")
-        values = values_words(r.active.parameters, r.active.deviations)
+        values = values_words(r.active.parameters, r.deviations)
         rows.append((effect_words(r.name), *numbers, values, _plausible(r.active.parameters, r.name)))
     strong = [k for k, r in enumerate(d.ranking[:MOST]) if r.name in accepted]
     columns = ("effect", "probability", "log evidence", "detectability", "value ± one sigma", "against the usual range")

@@ -100,8 +100,8 @@ VERDICTS = {
 def diagnosis_headline(answer: Answer) -> Headline:
     """Verdict, sentence and facts."""
     d = answer.diagnosis
-    verdict = d.verdict
-    named = [f"{effect_words(Name(*a.key))}: {values_words(a.parameters, a.deviations)}" for a in d.active]
+    sd = {(r.name.effect, r.name.joint): r.deviations for r in d.ranking}
+    named = [f"{effect_words(Name(*a.key))}: {values_words(a.parameters, sd.get(a.key, a.deviations))}" for a in d.active]
     facts = [("Where", _where(answer)), ("What", "; ".join(named) or "no effect is named"), ("How sure", _how_sure(answer))]
     facts.append(("How much better", _better(answer)))
     if kept := not_written(answer):
@@ -113,7 +113,7 @@ def diagnosis_headline(answer: Answer) -> Headline:
         facts.append(("What next", f"{_capital(first.do)} ({first.minutes:.0f} min). It tells {_apart(first.tells_apart)}."))
     if answer.blind:
         facts.append(("Not seen", "; ".join(answer.blind[:3]) + ("; …" if len(answer.blind) > 3 else "")))
-    return Headline(verdict in ("explained", "no_gap"), VERDICTS[told_as(d)], verdict_sentence(answer), tuple(facts))
+    return Headline(d.verdict in ("explained", "no_gap"), VERDICTS[told_as(d)], verdict_sentence(answer), tuple(facts))
 
 
 def told_as(d: Diagnosis) -> str:
@@ -231,13 +231,14 @@ def _alternatives(answer: Answer, certain: set[Name]) -> str:
 
 
 def _levels(answer: Answer) -> str:
-    """'Tracker: 0.19 mm before, 0.03 mm with it, noise 0.02 mm'."""
-    parts = []
-    for gap in answer.gaps:
-        before, after = (figure(figures(sizes)["rms"]) for sizes in (gap.before, gap.after))
-        told = f"{before} → {after}" if answer.diagnosis.active else before
-        parts.append(f"{SHORT[gap.name]} {told} {gap.unit} (noise {figure(gap.noise_floor)})")
-    return _capital(", ".join(parts))
+    """'Tracker 0.19 → 0.03 mm (noise 0.02)'."""
+    return _capital(", ".join(_level(answer, gap) for gap in answer.gaps))
+
+
+def _level(answer: Answer, gap: SignalGap) -> str:
+    before, after = (figure(figures(sizes)["rms"]) for sizes in (gap.before, gap.after))
+    told = f"{before} → {after}" if answer.diagnosis.active else before
+    return f"{SHORT[gap.name]} {told} {gap.unit} (noise {figure(gap.noise_floor)})"
 
 
 def _promise(answer: Answer) -> str:
@@ -292,8 +293,7 @@ def _how_sure(answer: Answer) -> str:
 def _better(answer: Answer) -> str:
     parts = []
     for gap in answer.gaps:
-        before, after = (figure(figures(sizes)["rms"]) for sizes in (gap.before, gap.after))
-        words = f"{SHORT[gap.name]}: {before} → {after} {gap.unit} rms, noise {figure(gap.noise_floor)}"
+        words = _level(answer, gap)
         if gap.shrinkage is None and answer.diagnosis.p_unknown > LEADS:
             words += "; what has no name is in that noise"
         elif gap.shrinkage is None:

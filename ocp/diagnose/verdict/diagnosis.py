@@ -197,10 +197,9 @@ def ranking(problem: Linearisation, search: Search, found: Posterior) -> tuple[R
     for name in sorted(found.marginal, key=lambda n: (found.marginal[n] < rules.LEADS, -found.gain[n]))[: rules.RANKED]:
         weighed = problem.best_with(search.sets, name)
         one = next(a for a in problem.values(weighed) if a.key == (name.effect, name.joint))
-        d = problem.signature(weighed, one)
-        ranked.append(Ranked(name, min(found.marginal[name], 1.0), found.gain[name], one, float(d @ d)))
-    ranked.sort(key=lambda r: (-round(r.probability, 2), -r.detectability if r.probability > rules.LEADS else 0.0))
-    return tuple(ranked)
+        d, sd = problem.signature(weighed, one), problem.deviations(weighed, one)
+        ranked.append(Ranked(name, min(found.marginal[name], 1.0), found.gain[name], one, float(d @ d), sd))
+    return tuple(sorted(ranked, key=lambda r: (-round(r.probability, 2), -r.detectability * (r.probability > rules.LEADS))))
 
 
 def place(
@@ -268,8 +267,7 @@ def implausible(active: Sequence[Active]) -> list[tuple[Name, str]]:
             if positive and a < -rules.WRONG_SIGN_SD * s:
                 name = one.effect.parameters[0].key if key == "share" else key
                 found.append((Name(*one.key), f"{name} comes out with the wrong sign"))
-        why = one.effect.doubt(one.a, sd, one.scanned) if one.effect.doubt else ""
-        if why:
+        if one.effect.doubt and (why := one.effect.doubt(one.a, sd, one.scanned)):
             found.append((Name(*one.key), why))
     return found
 
