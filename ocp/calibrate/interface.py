@@ -155,7 +155,7 @@ def write_tracker_calibration(
     out = output.named
     with output.whole() as folder:
         with phases.phase("writing"):
-            write_calibration(folder / "calibration.toml", made_for(calibration, made.setup.tables))
+            write_calibration(folder / "calibration.toml", made_for(calibration, made.setup.tables, made.setup.robot))
             _write_cell(made, folder / "cell.toml", out)
             _write_residuals(made, folder / "residuals.csv")
             if made.sealed is not None:

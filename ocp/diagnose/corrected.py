@@ -42,7 +42,7 @@ def write_corrected_cell(folder: Path, out: Path, answer: Answer) -> None:
     robot = tables["robot"]
     calibration = calibration_of(answer.channels, data)
     if calibration is not None:
-        write_calibration(folder / CALIBRATION, made_for(calibration, data.setup.tables))
+        write_calibration(folder / CALIBRATION, made_for(calibration, data.setup.tables, data.setup.robot))
         robot["calibration"] = CALIBRATION
     elif data.setup.tables.robot.calibration is not None:
         believed = data.folder / data.setup.tables.robot.calibration

@@ -1,18 +1,22 @@
 """Which of the cell's own numbers a calibration was made with, and what of it holds in a cell that was edited since.
 
 What a force log told of wheel, blade frame, flange and payload is a correction to these numbers, or stands in their place: beside
-another wheel or load it says nothing, and its small doubt would be another thing's.
+another wheel or load it says nothing, and its small doubt would be another thing's. Beside another arm nothing of it holds: its
+geometry would stand in that arm's place, its springs gave under the weights then given, and wheel and blade were found by it.
 """
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ocp.model.cell_schema import CellTables
 from robots.calibration.store import Calibration
+from robots.errors import BadInput
+from robots.robot import Robot
 
-KEY = "cell"  # of a calibration's provenance
+KEY, ARM = "cell", "robot"  # of a calibration's provenance, and the arm's numbers there
 SAME = 1e-9  # relative; a number written and read again
 RESTS_ON: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "wheel": (
@@ -29,28 +33,32 @@ RESTS_ON: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
 """Keys of a cell's table, and the parameters that rest on them; `payload`: what hangs on the flange while grinding."""
 
 
-def made_for(calibration: Calibration, tables: CellTables) -> Calibration:
-    """The calibration with the cell's numbers in its provenance, as it is written."""
-    return replace(calibration, provenance=calibration.provenance | {KEY: _numbers(tables)})
+def made_for(calibration: Calibration, tables: CellTables, robot: Robot) -> Calibration:
+    """The calibration with the numbers of the cell and its robot in its provenance, as it is written."""
+    return replace(calibration, provenance=calibration.provenance | {KEY: _numbers(tables) | {ARM: _arm(robot)}})
 
 
-def held_in(calibration: Calibration, tables: CellTables, file: str) -> Calibration:
-    """What of a calibration holds in the cell `file`: without the parameters of a table that has other numbers than when it was
-    made, with a notice of each. One that does not tell its cell's numbers holds whole."""
+def held_in(calibration: Calibration, tables: CellTables, robot: Robot, file: Path) -> Calibration:
+    """What of a calibration holds in the cell `file` with its `robot`: without the parameters of a table that has other numbers
+    than when it was made, with a notice of each. One that does not tell its cell's numbers holds whole.
+
+    Raises BadInput: it was made with another arm of that name.
+    """
     told, now = calibration.provenance.get(KEY), _numbers(tables)
     if not isinstance(told, dict):
         return calibration
+    _refuse_other_arm(told.get(ARM), _arm(robot), f"{file}, robot.model '{tables.robot.model}'")
     gone, notices = set[str](), list[str]()
     for table, (_, names) in RESTS_ON.items():
         then = told.get(table)
         lost = [name for name in names if name in calibration.names]
         if not lost or not isinstance(then, dict):
             continue
-        changed = [key for key, value in now.get(table, {}).items() if key in then and not _same(value, then[key])]
+        changed = _changed(now.get(table, {}), then)
         if changed:
             gone |= set(lost)
             notices.append(
-                f"{file}: {table}.{changed[0]} is {_shown(now[table][changed[0]])}, the calibration was made with "
+                f"{file.name}: {table}.{changed[0]} is {_shown(now[table][changed[0]])}, the calibration was made with "
                 f"{_shown(then[changed[0]])}: what it knew of {', '.join(lost)} is not used, the cell's own numbers are, "
                 "as surely as it gives them; calibrate with this one"
             )
@@ -64,6 +72,33 @@ def held_in(calibration: Calibration, tables: CellTables, file: str) -> Calibrat
         covariance=calibration.covariance[np.ix_(kept, kept)],
         notices=(*calibration.notices, *notices),
     )
+
+
+def _refuse_other_arm(then: object, now: dict[str, Any], where: str) -> None:
+    changed = _changed(now, then) if isinstance(then, dict) else []
+    if isinstance(then, dict) and changed:
+        key = changed[0]
+        raise BadInput(
+            f"{where}: {key} is {_shown(now[key])}, the calibration was made with {_shown(then[key])}, so it is of another arm; "
+            "take robot.calibration out of the cell and calibrate this one, or restore the number"
+        )
+
+
+def _changed(now: dict[str, Any], then: dict[str, Any]) -> list[str]:
+    return [key for key, value in now.items() if key in then and not _same(value, then[key])]
+
+
+def _arm(robot: Robot) -> dict[str, Any]:
+    """What decides where an arm stands and how its weight pulls, by the keys of its file; of the base nothing does."""
+    theta, d, a, alpha, beta = robot.mdh.T * np.array([180 / np.pi, 1e3, 1e3, 180 / np.pi, 180 / np.pi])[:, None]
+    rows = {"sign": robot.sign, "theta_deg": theta, "d_mm": d, "a_mm": a, "alpha_deg": alpha, "beta_deg": beta}
+    numbers = {f"geometry.{key}": row.tolist() for key, row in rows.items()}
+    for i in range(1, 7):
+        numbers |= {
+            f"links.link{i}.mass_kg": float(robot.link_mass[i]),
+            f"links.link{i}.com_mm": (1e3 * robot.link_com[i]).tolist(),
+        }
+    return numbers | {"gravity_direction": robot.gravity_direction.tolist()}
 
 
 def _numbers(tables: CellTables) -> dict[str, dict[str, Any]]:

@@ -253,8 +253,8 @@ def _refuse_sunken_wheel(cell: Cell) -> None:
 
 
 def _calibration(path: Path, tables: CellTables, robot: Robot) -> Calibration | None:
-    """The calibration that a cell file names, as far as it holds there. Raises BadInput: as `read_calibration`, and where it is
-    another robot's."""
+    """The calibration that a cell file names, as far as it holds there. Raises BadInput: as `read_calibration` and `held_in`, and
+    where it is another robot's."""
     if tables.robot.calibration is None:
         return None
     calibration = read_calibration(path.parent / tables.robot.calibration)
@@ -263,7 +263,7 @@ def _calibration(path: Path, tables: CellTables, robot: Robot) -> Calibration | 
             f"{path}: calibration '{tables.robot.calibration}' belongs to robot '{calibration.robot}', the cell has "
             f"'{robot.name}'; calibrate this robot or correct robot.model"
         )
-    return held_in(calibration, tables, path.name)
+    return held_in(calibration, tables, robot, path)
 
 
 def _bending(calibration: Calibration | None, listed: tuple[int, ...]) -> tuple[int, ...]:

@@ -108,7 +108,7 @@ def write_update(made: Updated, output: Output, phases: Phases, inputs: Sequence
 
     with output.whole() as folder:
         with phases.phase("writing"):
-            write_calibration(folder / "calibration.toml", made_for(made.states[3], made.cell.tables))
+            write_calibration(folder / "calibration.toml", made_for(made.states[3], made.cell.tables, made.cell.robot))
             _write_updated_cell(made, folder / "cell.toml", output.named)
         with phases.phase("report"):
             update_report(made, {path.name: sha256(path) for path in inputs}).write_page(folder / "report.html")

@@ -12,6 +12,8 @@ from ocp.model.cell import read_cell, read_tracker_setup
 from ocp.model.theta import BLOCKS, NAMES, believed_theta
 from ocp.shell.progress import Phases
 from robots.calibration.store import Calibration, read_calibration, write_calibration
+from robots.errors import BadInput
+from robots.robot import CATALOGUE
 
 EDITED = {
     "wheel": ("radius_mm = 40.0", "radius_mm = 45.0", "wheel.radius_mm is 45, the calibration was made with 40"),
@@ -31,7 +33,7 @@ def calibrated(folder, told=True):
     cell, names = read_cell(CELL), (*NAMES, "wheel_wear")
     values = np.append(believed_theta(cell).values, 1e-7)
     everything = Calibration(cell.robot.name, names, values, np.diag((1e-6 + 1e-3 * np.abs(values)) ** 2))
-    write_calibration(folder / "calibration.toml", made_for(everything, cell.tables) if told else everything)
+    write_calibration(folder / "calibration.toml", made_for(everything, cell.tables, cell.robot) if told else everything)
     return text, everything
 
 
@@ -64,6 +66,33 @@ def read_cell_without(folder, text):
     path = folder / "uncalibrated.toml"
     path.write_text(text.replace('calibration = "calibration.toml"\n', ""))
     return read_cell(path)
+
+
+ARM = {
+    "geometry": ("a_mm = [350.0, 1150.0,", "a_mm = [350.0, 1160.0,", "geometry.a_mm is [350, 1160, "),
+    "weight": ("mass_kg = 231.49", "mass_kg = 331.49", "links.link2.mass_kg is 331.49, the calibration was made with 231.49"),
+}
+
+
+@pytest.mark.parametrize("number", ARM)
+def test_a_calibration_is_refused_beside_another_arm_of_that_name(number, tmp_path):
+    """Its geometry would stand in that arm's place, without a word."""
+    text, _ = calibrated(tmp_path)
+    text = text.replace('"kr210_r2700_extra"', '"arm.toml"')
+    (tmp_path / "cell.toml").write_text(text)
+    arm = (CATALOGUE / "kr210_r2700_extra.toml").read_text()
+    (tmp_path / "arm.toml").write_text(arm.replace("speed_deg_s = [123.0", "speed_deg_s = [100.0"))
+    assert not read_cell(tmp_path / "cell.toml").calibration.notices
+    before, after, said = ARM[number]
+    assert arm.count(before) == 1
+    (tmp_path / "arm.toml").write_text(arm.replace(before, after))
+    for read in (read_cell, read_tracker_setup):
+        with pytest.raises(BadInput, match=re.escape(said)):
+            read(tmp_path / "cell.toml")
+    (tmp_path / "arm.toml").write_text(arm)
+    (tmp_path / "cell.toml").write_text(text.replace("[robot]", "[robot]\ngravity_direction = [1, 0, 0]"))
+    with pytest.raises(BadInput, match=r"cell.toml, robot.model 'arm.toml': gravity_direction is \[1, 0, 0\]"):
+        read_cell(tmp_path / "cell.toml")
 
 
 def test_numbers_that_a_calibration_does_not_rest_on_may_change(tmp_path):
