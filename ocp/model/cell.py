@@ -324,9 +324,8 @@ def _robot(path: Path, tables: CellTables) -> Robot:
     Raises BadInput as `load_robot`, with file and key.
     """
     model = tables.robot.model
-    local = path.parent / model
     try:
-        robot = load_robot(local if model.endswith(".toml") and local.exists() else model)
+        robot = load_robot(path.parent / model if model.lower().endswith(".toml") else model)
     except BadInput as error:
         raise BadInput(f"{path}, robot.model: {error}") from None
     down = np.array(tables.robot.gravity_direction)
@@ -490,14 +489,19 @@ def read_tracker_setup(path: str | Path) -> TrackerSetup:
     return TrackerSetup(path, robot, payloads, instrument, listed, tables, _calibration(path, tables, robot))
 
 
-def files_of(path: str | Path) -> list[Path]:
-    """The cell file and the files it names that are there: robot, calibration and its covariance, blade."""
-    path = Path(path)
-    tables = read_toml(path, CellTables)
+def named_files(path: Path, tables: CellTables) -> dict[str, Path]:
+    """The cell file and the files it names that are there, by their part: cell, robot, calibration, covariance, blade."""
     calibration = tables.robot.calibration
     covariance = str(Path(calibration).with_suffix(".npz")) if calibration is not None and Path(calibration).name else None
-    named = [tables.robot.model, calibration, covariance, tables.workpiece.stl if tables.workpiece else None]
-    return [path, *(path.parent / name for name in named if name is not None and (path.parent / name).is_file())]
+    named = {"robot": tables.robot.model, "calibration": calibration, "covariance": covariance}
+    named |= {"blade": tables.workpiece.stl if tables.workpiece else None}
+    there = {part: path.parent / name for part, name in named.items() if name is not None}
+    return {"cell": path} | {part: file for part, file in there.items() if file.is_file()}
+
+
+def files_of(path: str | Path) -> list[Path]:
+    """The cell file and the files it names that are there: robot, calibration and its covariance, blade."""
+    return list(named_files(Path(path), read_toml(Path(path), CellTables)).values())
 
 
 def _instrument(table: TrackerTable | None) -> Instrument:

@@ -11,7 +11,7 @@ from ocp.contact.wheel.cover import Cover
 from ocp.contact.wheel.law import WheelLaw
 from ocp.effects.patch import PATCH, lengths_outside
 from ocp.model.blade_gap import SurfaceCloud
-from ocp.model.cell import Cell, floor_notices, history_notices, load_notices, read_cell
+from ocp.model.cell import Cell, floor_notices, history_notices, load_notices, named_files, read_cell
 from ocp.model.prepare import ContactModel, prepare_contact
 from ocp.model.theta import Theta, registered
 from ocp.plan.accuracy import WorkingAccuracy, working_accuracy
@@ -163,10 +163,10 @@ class Job:
     def inputs(self) -> tuple[tuple[str, Path], ...]:
         """The files that the plan is made from, by their part."""
         cell, options = self.believed, self.options
-        named = [("cell", cell.path), ("blade", cell.workpiece.stl)]
+        there = named_files(cell.path, cell.tables)
+        named = [("cell", cell.path), ("blade", cell.workpiece.stl), ("robot", there.get("robot"))]
         named += [("path", options.path), ("program", options.program), ("stock", options.stock)]
-        if cell.tables.robot.calibration is not None:
-            named.append(("calibration", cell.path.parent / cell.tables.robot.calibration))
+        named += [("calibration", there.get("calibration"))]
         return tuple((role, file) for role, file in named if file is not None)
 
 

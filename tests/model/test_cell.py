@@ -9,6 +9,7 @@ import pytest
 from ocp.data import CELL
 from ocp.model.cell import read_cell
 from robots.errors import BadInput
+from robots.robot import CATALOGUE
 
 TEXT = (CELL).read_text()
 
@@ -49,6 +50,16 @@ def test_prestons_coefficient_is_per_pascal(tmp_path):
     process = read_cell(write(tmp_path, "force_N = 20.0\nfeed", keys)).process
     assert (process.preston, process.preston_sd) == pytest.approx((9.5e-12, 0.5e-12))
     assert read_cell(CELL).process.preston is None
+
+
+def test_a_robot_file_is_looked_for_beside_the_cell_alone(tmp_path, monkeypatch):
+    """One of the folder that the command was called in was taken in its place, another arm perhaps."""
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "elsewhere" / "arm.toml").write_text((CATALOGUE / "kr210_r2700_extra.toml").read_text())
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    path = write(tmp_path, '"kr210_r2700_extra"', '"arm.toml"')
+    with pytest.raises(BadInput, match="robot.model: .*arm.toml: cannot be read"):
+        read_cell(path)
 
 
 def test_every_cell_of_the_worlds_is_read(shared_data):

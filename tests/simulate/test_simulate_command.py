@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,11 +15,14 @@ import pytest
 from ocp.calibrate.force.log import read_force_log
 from ocp.data import CELL
 from ocp.model.cell import read_cell
+from ocp.plan.planning import Job
+from ocp.shell.cache import sha256
 from ocp.shell.output import MARKER
 from ocp.simulate.__main__ import app
 from ocp.simulate.twin.truth import draw_truth
 from ocp.update.removal import on_blade, read_removal
 from robots.kinematics import forward
+from robots.robot import CATALOGUE
 from tests.support.browser import NEEDED, looked_at
 from tests.support.formats import told_keys
 from tests.support.geometry_robot import write_geometry_robot
@@ -312,6 +316,27 @@ def test_a_robot_that_cannot_go_there_is_refused(plan, tmp_path):
     (tmp_path / "other" / "narrow.toml").write_text(narrow)
     told = simulated(plan, "--cell", cell, "--out", tmp_path / "run")
     one_sentence(told, 1, "beyond -1 to 1")
+
+
+def test_a_robot_file_edited_since_the_plan_is_refused(plan, tmp_path):
+    """It was rehearsed with the edited arm, and a crash was laid to the registration."""
+    copy = tmp_path / "cell" / "plan"
+    shutil.copytree(plan.parent, tmp_path / "cell")
+    text = (copy.parent / "cell.toml").read_text()
+    (copy.parent / "cell.toml").write_text(text.replace('"kr210_r2700_extra"', '"arm.toml"'))
+    shutil.copyfile(CATALOGUE / "kr210_r2700_extra.toml", copy.parent / "arm.toml")
+    cell = read_cell(copy.parent / "cell.toml")
+    nothing = SimpleNamespace(path=None, program=None, stock=None)
+    inputs = dict(Job.inputs(SimpleNamespace(believed=cell, options=nothing)))  # type: ignore[arg-type]
+    assert inputs["robot"] == copy.parent / "arm.toml"
+    told = json.loads((copy / "plan.json").read_text())
+    told["inputs"] += [{"role": "robot", "name": "arm.toml", "sha256": sha256(inputs["robot"])}]
+    (copy / "plan.json").write_text(json.dumps(told))
+    arguments = copy, "--cell", cell.path, "--poses", "0", "--ladder", "none", "--no-air"
+    assert simulated(*arguments, "--out", tmp_path / "same").code == 0
+    arm = inputs["robot"].read_text()
+    inputs["robot"].write_text(arm.replace("1200.0, 0.0, 215.0", "1210.0, 0.0, 215.0"))
+    one_sentence(simulated(*arguments, "--out", tmp_path / "run"), 2, "another version of the robot file 'arm.toml'")
 
 
 def changed_program(plan: Path, folder: Path, old: str, new: str) -> Path:

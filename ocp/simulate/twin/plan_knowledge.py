@@ -20,7 +20,7 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from ocp.model.cell import Cell
+from ocp.model.cell import Cell, named_files
 from ocp.simulate.twin.controller import Index, Track
 from ocp.simulate.twin.krl_text import DrivenMotion, KrlProgram
 from robots.bounds import MEGABYTE, read_whole
@@ -280,13 +280,19 @@ def refuse_stranger(program: KrlProgram, cell: Cell, summary: dict[str, Any], fo
     """Notices about a program that belongs to the cell.
 
     Raises BadInput: tool or base frame differ from the cell's by more than printing, or where a calibration moved them by more
-    than that can; another blade.
+    than that can; another blade; a robot file that is not as it was.
     """
     blade, stl = recorded_input(summary, "blade"), cell.workpiece.stl
     if stl is not None and not stl.is_file():
         raise BadInput(f"{cell.path}: its blade {stl} cannot be read; put the file there or give another with --blade")
     if blade is not None and stl is not None and file_hash(stl) != blade[1]:
         raise BadInput(f"{folder}: was planned for another blade '{blade[0]}' than {stl}; give that with --blade, or plan anew")
+    arm, file = recorded_input(summary, "robot"), named_files(cell.path, cell.tables).get("robot")
+    if arm is not None and (file is None or file_hash(file) != arm[1]):
+        raise BadInput(
+            f"{folder}: was planned with another version of the robot file '{arm[0]}' than {cell.path} names, whose arm need not "
+            "stand, reach and bend as planned; plan anew"
+        )
     moved = cell.calibration is not None or recorded_input(summary, "calibration") is not None
     piece, wheel = cell.workpiece, cell.wheel
     for motion in program.motions:
