@@ -4,7 +4,7 @@ A mistake is something with which nothing can be ground, or with which the robot
 allowed and hardly meant. What is not measured yet is believed with the spread that the cell or its default says.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
@@ -107,7 +107,7 @@ def examine(path: Path, phases: Phases) -> Examined:
         what = f"the table [{lacking}] is missing; without it the cell serves calibration and diagnosis of the arm alone"
         return Examined(path, setup, (*found, Finding(UNMEASURED, lacking, what)), None)
     cell = read_cell(path)
-    found += _unmeasured(tables)
+    found += _unmeasured(tables, () if setup.calibration is None else setup.calibration.names)
     if cell.workpiece.stl is None:
         return Examined(path, setup, (*found, Finding(DOUBT, "workpiece.stl", "names no blade; name one, or hand it in")), None)
     if planned_family(cell.robot) is None:
@@ -279,8 +279,7 @@ def _flange_findings(tables: CellTables) -> Iterator[Finding]:
             f"{tables.process.force_N:g} is out of its reach"
         )
         yield Finding(DOUBT, "force_flange.setpoint_N", text)
-    named = None if tables.workpiece is None else tables.workpiece.payload
-    name = named or next(iter(tables.payloads), None)
+    name = tables.hanging
     load = None if name is None else tables.payloads.get(name)
     if load is not None and flange.carried_mass_kg > load.mass_kg:
         text = f"{flange.carried_mass_kg:g} is more than the payload '{name}' has in all ({load.mass_kg:g} kg)"
@@ -348,17 +347,17 @@ def _tracker_findings(tables: CellTables) -> Iterator[Finding]:
         )
 
 
-def _unmeasured(tables: CellTables) -> Iterator[Finding]:
-    """Numbers whose spread nobody gave, and tables that are absent."""
+def _unmeasured(tables: CellTables, calibrated: Sequence[str]) -> Iterator[Finding]:
+    """Numbers whose spread nobody gave and that were not calibrated, by a parameter of each, and tables that are absent."""
     assert tables.workpiece is not None and tables.wheel is not None
     given = {"workpiece": tables.workpiece.model_fields_set, "wheel": tables.wheel.model_fields_set}
-    for table, key, spread in (
-        ("workpiece", "xyz_mm", "xyz_sd_mm"),
-        ("workpiece", "abc_deg", "abc_sd_deg"),
-        ("wheel", "centre_mm", "centre_sd_mm"),
-        ("wheel", "axis", "axis_sd_deg"),
+    for table, key, spread, parameter in (
+        ("workpiece", "xyz_mm", "xyz_sd_mm", "blade_x"),
+        ("workpiece", "abc_deg", "abc_sd_deg", "blade_a"),
+        ("wheel", "centre_mm", "centre_sd_mm", "wheel_x"),
+        ("wheel", "axis", "axis_sd_deg", "wheel_axis_u"),
     ):
-        if spread not in given[table]:
+        if spread not in given[table] and parameter not in calibrated:
             default = getattr(getattr(tables, table), spread)
             text = f"measure it and say how well as {spread}; until then one sigma of {default:g} is believed"
             yield Finding(UNMEASURED, f"{table}.{key}", text)

@@ -70,9 +70,7 @@ class DataSet:
     @property
     def payload(self) -> Hanging:
         """What hangs on the flange while grinding and where nobody says otherwise."""
-        tables, payloads = self.setup.tables, self.setup.payloads
-        named = tables.workpiece.payload if tables.workpiece is not None else None
-        return payloads[named] if named is not None else next(iter(payloads.values()), Hanging())
+        return self.setup.payloads.get(self.setup.tables.hanging or "", Hanging())
 
 
 def read_data_set(folder: str | Path, columns: Path | None = None) -> DataSet:

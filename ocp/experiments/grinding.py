@@ -209,12 +209,9 @@ def contact_moments(course: Course, machine: VirtualRobot, rung: Rung, run: int 
     path, q = rung.solved.problem.path, rung.solved.solution.q
     n = len(q)
     time = np.concatenate([[0.0], np.cumsum(rung.solved.problem.seconds)])
-    payload = course.cell.tables.workpiece.payload if course.cell.tables.workpiece else None
     approach = np.sign(np.gradient(q, axis=0))
     cold = np.full(n, course.cell.tables.reference_temperature_C)
-    still = arm_moments(
-        q, payload or next(iter(course.cell.tables.payloads), ""), cold, approach, time, visit=np.zeros(n, np.int64)
-    )
+    still = arm_moments(q, course.cell.tables.hanging or "", cold, approach, time, visit=np.zeros(n, np.int64))
     return ContactMoments(
         T_base_flange=machine.arm.flange(still),
         arm_compliance=machine.arm.compliance(still),

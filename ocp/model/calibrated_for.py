@@ -54,14 +54,18 @@ def held_in(calibration: Calibration, tables: CellTables, robot: Robot, file: Pa
         lost = [name for name in names if name in calibration.names]
         if not lost or not isinstance(then, dict):
             continue
-        changed = _changed(now.get(table, {}), then)
-        if changed:
-            gone |= set(lost)
-            notices.append(
-                f"{file.name}: {table}.{changed[0]} is {_shown(now[table][changed[0]])}, the calibration was made with "
-                f"{_shown(then[changed[0]])}: what it knew of {', '.join(lost)} is not used, the cell's own numbers are, "
-                "as surely as it gives them; calibrate with this one"
-            )
+        if changed := _changed(now.get(table, {}), then):
+            key, at = changed[0], f"payloads.{tables.hanging}" if table == "payload" else table
+            what = f"{at}.{key} is {_shown(now[table][key])}, the calibration was made with {_shown(then[key])}"
+        elif table not in now and tables.workpiece is not None and tables.wheel is not None:  # a cell that grinds without it
+            what = f"there is no {table}, the calibration was made with one"
+        else:
+            continue
+        gone |= set(lost)
+        notices.append(
+            f"{file.name}: {what}: what it knew of {', '.join(lost)} is not used, the cell's own numbers are, as surely as it "
+            "gives them; calibrate with this one"
+        )
     if not gone:
         return calibration
     kept = [i for i, name in enumerate(calibration.names) if name not in gone]
@@ -103,13 +107,11 @@ def _arm(robot: Robot) -> dict[str, Any]:
 
 def _numbers(tables: CellTables) -> dict[str, dict[str, Any]]:
     """The cell's numbers by table and key."""
-    piece = tables.workpiece
-    hanging = None if piece is None else piece.payload or next(iter(tables.payloads), None)
     parts = {
         "wheel": tables.wheel,
-        "workpiece": piece,
+        "workpiece": tables.workpiece,
         "force_flange": tables.force_flange,
-        "payload": None if hanging is None else tables.payloads[hanging],
+        "payload": tables.payloads.get(tables.hanging or "") if tables.workpiece is not None else None,
     }
     return {
         name: {key: list(value) if isinstance(value := getattr(part, key), tuple) else value for key in RESTS_ON[name][0]}

@@ -386,7 +386,7 @@ def _workpiece(tables: CellTables, table: WorkpieceTable, path: Path, blade: Pat
         normal, offset = np.eye(3)["xyz".index(table.clamp_axis or "z")], float(table.clamp_to_mm or 0.0)
     if table.clamp_side == "above":
         normal, offset = -normal, -offset
-    name = table.payload or next(iter(tables.payloads), None)
+    name = tables.hanging
     payload = tables.payloads[name] if name is not None else None
     si = _si(table)
     return Workpiece(

@@ -460,6 +460,12 @@ class CellTables(TomlTable):
         named = (effect_of(table.model_dump()) for table in self.effects)
         return (*named, *(patch_effect_of(table.model_dump()) for table in self.patches))
 
+    @property
+    def hanging(self) -> str | None:
+        """Name of the payload that hangs on the flange while grinding; None: there are none."""
+        named = self.workpiece.payload if self.workpiece else None
+        return named or next(iter(self.payloads), None)
+
     @model_validator(mode="after")
     def _payload_known(self) -> "CellTables":
         named = self.workpiece.payload if self.workpiece else None

@@ -23,7 +23,7 @@ EDITED = {
         r"workpiece.xyz_mm is \[0, 0, 230\], .* made with \[0, 0, 200\]",
     ),
     "force_flange": ("stiffness_N_per_mm = 5.6", "stiffness_N_per_mm = 9.0", "force_flange.stiffness_N_per_mm is 9, .* with 5.6"),
-    "payload": ("mass_kg = 25.0", "mass_kg = 60.0", "payload.mass_kg is 60, the calibration was made with 25"),
+    "payload": ("mass_kg = 25.0", "mass_kg = 60.0", "payloads.grinder.mass_kg is 60, the calibration was made with 25"),
 }
 
 
@@ -60,6 +60,26 @@ def test_what_rests_on_an_edited_number_is_as_doubtful_as_the_cell_says(table, t
     assert np.array_equal(theta.values[at], own.values[at]) and np.array_equal(theta.covariance[at], own.covariance[at])
     kept = [k for k, name in enumerate(NAMES) if name not in gone]
     assert np.array_equal(theta.covariance[np.ix_(kept, kept)], np.diag(np.diag(everything.covariance)[kept]))
+
+
+def test_what_rests_on_a_table_that_is_gone_is_not_used(tmp_path):
+    """Without its flange a holder is screwed on rigidly."""
+    text, everything = calibrated(tmp_path)
+    (tmp_path / "cell.toml").write_text(re.sub(r"\[force_flange\]\n(.+\n)+", "", text))
+    cell = read_cell(tmp_path / "cell.toml")
+    assert cell.flange is None
+    assert set(everything.names) - set(cell.calibration.names) == set(RESTS_ON["force_flange"][1])
+    assert "there is no force_flange, the calibration was made with one" in cell.calibration.notices[0]
+
+
+def test_what_was_calibrated_is_not_told_as_unmeasured(tmp_path):
+    """It told the default spreads as believed beside a calibration that knows better."""
+    text, _ = calibrated(tmp_path)
+    (tmp_path / "cell.toml").write_text(text.replace('stl = "blade.stl"\n', ""))
+    own = {"workpiece.xyz_mm", "workpiece.abc_deg", "wheel.centre_mm", "wheel.axis"}
+    assert not own & {f.key for f in examine(tmp_path / "cell.toml", Phases(None)).of(UNMEASURED)}
+    read_cell_without(tmp_path, text.replace('stl = "blade.stl"\n', ""))
+    assert own <= {f.key for f in examine(tmp_path / "uncalibrated.toml", Phases(None)).of(UNMEASURED)}
 
 
 def read_cell_without(folder, text):

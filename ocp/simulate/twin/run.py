@@ -106,10 +106,9 @@ def refuse_crash(machine: VirtualMachine, track: Track, plan: Matched) -> float:
 
 def arm_conditions(machine: VirtualMachine, track: Track, index: Index, clock: float, visit: Index | None = None) -> Moments:
     """Conditions of samples of the track."""
-    piece = machine.cell.tables.workpiece
-    payload = piece.payload if piece is not None and piece.payload is not None else next(iter(machine.truth.payloads), "")
+    hanging = machine.cell.tables.hanging or ""
     return arm_moments(
-        track.q[index], payload, machine.temperature, track.approach[index], clock + track.time[index], visit=visit
+        track.q[index], hanging, machine.temperature, track.approach[index], clock + track.time[index], visit=visit
     )
 
 

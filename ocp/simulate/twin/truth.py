@@ -145,9 +145,7 @@ def _vector(known: dict[str, float], *names: str) -> Array:
 def _payloads(cell: Cell, known: dict[str, float]) -> dict[str, tuple[float, Array]]:
     """Mass kg and centre (3,) m in the flange frame of the cell's payloads; the one that grinds as calibrated."""
     payloads = {name: (table.mass_kg, 1e-3 * np.array(table.com_mm)) for name, table in cell.tables.payloads.items()}
-    table = cell.tables.workpiece
-    name = (table.payload if table is not None else None) or next(iter(payloads), None)
-    if name is not None:
+    if (name := cell.tables.hanging) is not None:
         mass, com = payloads[name]
         centre = np.array([known.get(f"payload_com_{x}", com[k]) for k, x in enumerate("xyz")])
         payloads[name] = (max(known.get("payload_mass", mass), 0.0), centre)
