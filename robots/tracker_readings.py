@@ -319,14 +319,19 @@ def _without_gaps(table: CsvTable, notices: list[str]) -> CsvTable:
 
 def _turns(table: CsvTable, order: str) -> Array | None:
     """Orientations (n, 3, 3) of 6D targets from quaternions or angles in an order, nan where a row has none; None where no row
-    has one. Raises BadInput: both are given, or a quaternion's length is not one."""
+    has one. Raises BadInput: both are given, one is given in part, or a quaternion's length is not one."""
     given = [group for group in (TURN, QUATERNION) if _all(table, group)]
     if len(given) > 1:
         raise BadInput(f"{table.path}: orientations stand there as {', '.join(TURN)} and as {', '.join(QUATERNION)}; remove one")
     if not given:
         return None
     numbers = table.stack(given[0])
-    known = np.isfinite(numbers).all(axis=1)
+    known, part = np.isfinite(numbers).all(axis=1), np.isfinite(numbers).any(axis=1)
+    for row in np.flatnonzero(part & ~known)[:1]:  # left out in silence, the rest of the row would be a point
+        column = given[0][int(np.argmin(np.isfinite(numbers[row])))]
+        raise BadInput(
+            f"{table.path}, line {table.line[row]}, column {column}: the cell is empty; fill in the whole turn or none of it"
+        )
     if not known.any():
         return None
     turns = np.full((len(table), 3, 3), np.nan)

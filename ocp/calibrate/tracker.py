@@ -13,7 +13,16 @@ from ocp.effects.engine.readings import effects_on, has_columns, shown_in, witho
 from ocp.model.cell import TrackerSetup, read_tracker_setup
 from ocp.shell.progress import Phases
 from robots.calibration.evidence import Term, choose_terms
-from robots.calibration.fit import Fit, fit_campaign, fit_learned, located, predict_readings, predictive_covariance, with_turn_sd
+from robots.calibration.fit import (
+    Fit,
+    fit_campaign,
+    fit_learned,
+    located,
+    predict_readings,
+    predictive_covariance,
+    stated_turn_sd,
+    with_turn_sd,
+)
 from robots.calibration.identifiability import Identifiability, described, identify, listed
 from robots.calibration.layout import Choice, Layout, State, nominal_state
 from robots.calibration.load_tests import LoadTest, load_test
@@ -295,7 +304,7 @@ def doubts_about(c: TrackerCalibration) -> list[str]:
             "(sigma_um, [tracker])."
         )
     return words + [
-        f"Where {KINDS[kind]} is left out, errors are {over:.1f} times what it states."
+        f"Where {KINDS[kind]} {'are' if kind == 'random' else 'is'} left out, errors are {over:.1f} times what it states."
         for kind, over in found.items()
         if over > SURE
     ]
@@ -370,11 +379,13 @@ def _effect_notices(known: Sequence[Active], taken: Sequence[Active]) -> list[st
 
 
 def _turn_notice(given: Readings, used: Readings) -> list[str]:
-    """How sure orientations are taken to be where the file does not say."""
-    if used.sigma_turn is None or given.sigma_turn is not None:
+    """How sure orientations are taken to be where the file does not say, or says far too much or too little."""
+    if used.sigma_turn is None or used.sigma_turn is given.sigma_turn:
         return []
+    stated = stated_turn_sd(given)
+    told = "no column sigma_rot_deg" if stated is None else f"sigma_rot_deg states {np.degrees(stated):.2g}, degrees are meant"
     sd = f"{np.degrees(used.sigma_turn[0]):.2g} deg"
-    return [f"no column sigma_rot_deg: the 6D target's orientation is taken as good to {sd}, as it scatters about the arm"]
+    return [f"{told}: the 6D target's orientation is taken as good to {sd}, as it scatters about the arm"]
 
 
 def _notices(fit: Fit) -> list[str]:

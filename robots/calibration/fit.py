@@ -22,6 +22,8 @@ LOCATING = 200  # readings of a nest from a station that place both, to begin wi
 ROUGH = 1000  # of a longer campaign, fitted first: they leave little to do for the rest
 TRUST = 20.0  # components of residuals that the noise model is worth
 LOOSE_TURN, LEAST_TURN_SD = np.radians(10.0), np.radians(1e-4)  # above what passes for sound, below any instrument
+# Times: radians in the place of degrees are 57. Within, what the loose arm misses itself could be the difference.
+MISSTATED = 3.0
 MEDIAN_TURN = float(np.sqrt(MEDIAN_OF_THREE))
 LEARNED = (5e-5, 1e-2)  # m or rad, bounds of the learned priors
 PLAIN, WEAK = Choice(), Priors()
@@ -136,15 +138,24 @@ def fit_campaign(
 
 
 def with_turn_sd(campaign: Campaign, choice: Choice = PLAIN) -> Campaign:
-    """`campaign` with one sigma of its orientations, where the file tells none: as they scatter about an arm that is fitted with
-    hardly any weight on them (MEDIAN_TURN: the length of three components has its median there)."""
+    """`campaign` with one sigma of its orientations, where the file tells none, or one that is MISSTATED times too large or too
+    small: as they scatter about an arm that is fitted with hardly any weight on them (MEDIAN_TURN: the length of three
+    components has its median there)."""
     r = campaign.readings
-    if r.turn is None or r.sigma_turn is not None:
+    if r.turn is None:
         return campaign
     loose = replace(campaign, readings=replace(r, sigma_turn=np.full(len(r), LOOSE_TURN)))
     off = np.linalg.norm(fit_campaign(loose, choice).residual[r.turned, 3:], axis=1)
     sd = max(float(np.median(off)) / MEDIAN_TURN, LEAST_TURN_SD)
+    if (stated := stated_turn_sd(r)) is not None and sd / MISSTATED <= stated <= sd * MISSTATED:
+        return campaign
     return replace(campaign, readings=replace(r, sigma_turn=np.full(len(r), sd)))
+
+
+def stated_turn_sd(r: Readings) -> float | None:
+    """One sigma rad of orientations that the file states, the median of its rows; None where it states none."""
+    told = np.zeros(0) if r.sigma_turn is None else r.sigma_turn[r.turned & np.isfinite(r.sigma_turn)]
+    return float(np.median(told)) if len(told) else None
 
 
 def learned_priors(fit: Fit) -> Priors:

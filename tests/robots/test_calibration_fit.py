@@ -186,6 +186,9 @@ def test_six_dimensional_targets_give_the_whole_pose():
     assert fit.state.turns[0] == pytest.approx(mounted, abs=3e-3)  # but for the turns of the flange that hide in it
     stated = replace(c, readings=replace(readings, point=points))
     assert with_turn_sd(stated) is stated
+    for times in (1 / 57, 57):  # far too small it held the arm to what orientations scatter, far too large it shrank all others
+        wrong = with_turn_sd(replace(stated, readings=replace(stated.readings, sigma_turn=np.full(50, times * 5e-5))))
+        assert wrong.readings.sigma_turn == pytest.approx(5e-5, rel=0.25)
     for sd in (5e-5, 2e-3):  # what the file does not state is told by the scatter
         scattered = (
             Rotation.from_rotvec(rng.normal(size=(50, 3)) * sd).as_matrix() @ truth.T_tracker_base[:3, :3] @ still @ mounted

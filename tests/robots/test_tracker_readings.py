@@ -167,6 +167,11 @@ def test_gaps_are_passed_over_and_half_points_refused(tmp_path):
         read(tmp_path, HEADER, ROW.replace("weight,10,", "weight,,"))
 
 
+def test_a_part_of_an_orientation_is_refused(tmp_path):
+    with pytest.raises(BadInput, match="line 3, column ry_deg: the cell is empty; fill in the whole turn"):
+        read(tmp_path, HEADER + ",rx_deg,ry_deg,rz_deg", ROW + ",10,20,30", ROW + ",10,,30")
+
+
 def test_rows_without_an_orientation_are_points(tmp_path):
     r = read(tmp_path, HEADER + ",rx_deg,ry_deg,rz_deg,sigma_rot_deg", ROW + ",10,20,30,0.01", ROW + ",,,,")
     assert np.isfinite(r.turn[0]).all() and np.isnan(r.turn[1]).all()
