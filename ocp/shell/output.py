@@ -26,6 +26,7 @@ LONGEST_NAME = 200  # bytes; file systems take 255, the temporary neighbour need
 MARKER = ".written.json"
 """Name of the list of files, with their SHA-256, that a written folder holds."""
 DIGITS = 64  # of a hash: of what is no regular file there is none, and no list can have it
+NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EIO, errno.EFBIG)  # a file's name seldom comes with these
 OLD, NEW = "replaced", "unfinished"  # what stands beside a folder while it is written
 
 
@@ -105,7 +106,7 @@ class Output:
             processes.finish_undisturbed()
             self._put(partial)
         except OSError as error:
-            if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EIO, errno.EFBIG):
+            if error.errno in NO_ROOM:
                 raise BadInput(f"{self.named}: cannot be written ({error.strerror}), nothing is; give another --out") from None
             raise
         finally:
@@ -207,7 +208,8 @@ def files_added(folder: Path, last: str = "") -> Iterator[Path]:
         folder: that of `Output.grown`, or one made here.
         last: the file that says that the others are whole.
 
-    Raises BadInput where a file that this software did not write, or that was changed since, stands in the way of one.
+    Raises BadInput where a file that this software did not write, or that was changed since, stands in the way of one, and where
+    no room is left.
     """
     folder = _resolved(folder)
     folder.parent.mkdir(parents=True, exist_ok=True)
@@ -224,6 +226,10 @@ def files_added(folder: Path, last: str = "") -> Iterator[Path]:
             for name in (MARKER, *names):
                 (folder / name).parent.mkdir(parents=True, exist_ok=True)
                 os.replace(part / name, folder / name)
+    except OSError as error:
+        if error.errno in NO_ROOM:
+            raise BadInput(f"{folder}: cannot be written ({error.strerror}); free some space there and call again") from None
+        raise
     finally:
         shutil.rmtree(part, ignore_errors=True)
 

@@ -291,6 +291,16 @@ def test_a_full_disk_is_one_sentence_and_leaves_nothing(tmp_path):
     assert is_untouched(out) and names(tmp_path) == ["plan"]
 
 
+def test_a_disk_that_fills_while_a_night_grows_is_named(tmp_path):
+    """It said that space is wanting "there", and nothing of where."""
+    night = tmp_path / "night"
+    add_text_file(night, "night.json", "done")
+    with pytest.raises(BadInput, match=f"^{night}: cannot be written .No space left on device.; free some"), files_added(night):
+        with open("/dev/full", "w") as full:
+            full.write("x" * 100000)
+    assert names(tmp_path) == ["night"] and as_written(night / "night.json", night)
+
+
 def test_a_link_to_itself_is_refused(tmp_path):
     (tmp_path / "loop").symlink_to(tmp_path / "loop")
     for name in ("loop", "loop/plan"):
