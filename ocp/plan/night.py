@@ -25,7 +25,7 @@ from ocp.plan.report.night import night_page, words_of
 from ocp.shell.cache import sha256
 from ocp.shell.command import NOT_SOLVED, OK, refusal
 from ocp.shell.executor import Files, Hands, WorkerEnded, carried_out, errand, lay, named_below
-from ocp.shell.output import MARKER, as_written, files_added, reserved
+from ocp.shell.output import MARKER, as_written, files_added, not_as_written, reserved
 from ocp.shell.processes import cores
 from ocp.shell.progress import Phases, Progress
 from robots.bounds import MEGABYTE
@@ -194,7 +194,8 @@ def _named(blades: Sequence[Path]) -> dict[str, Path]:
 
 
 def _rows_before(night: _Night, folder: Path) -> dict[str, Row]:
-    """Rows of the blades that an earlier call has done. Raises BadInput: the folder holds something else, or other plans."""
+    """Rows of the blades that an earlier call has done and whose plans stand there. Raises BadInput: the folder holds something
+    else, other plans, or one that was changed."""
     file = folder / TABLE
     if not file.is_file():
         if any(p.name != MARKER for p in folder.iterdir()):
@@ -213,6 +214,11 @@ def _rows_before(night: _Night, folder: Path) -> dict[str, Row]:
         if name in rows and not any(one["sha256"] == sha256(blade) for one in rows[name]["inputs"]):  # or it was lost
             if rows[name]["exit_code"] == OK:
                 raise BadInput(f"{blade}: is not the blade that {folder / name} was planned for; {other}")
+            del rows[name]
+        elif name in rows and (lost := not_as_written(folder, name)) is not None:
+            if (folder / name).exists():
+                again = f"put it back, or move {folder / name} away to have it planned again"
+                raise BadInput(f"{lost}: is gone or was changed since it was written; {again}")
             del rows[name]
     return rows
 

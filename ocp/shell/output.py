@@ -254,6 +254,12 @@ def as_written(file: Path, folder: Path) -> bool:
     return file.is_file() and _listed(folder).get(file.relative_to(folder).as_posix()) == _hash(file)
 
 
+def not_as_written(folder: Path, below: str) -> Path | None:
+    """The first file of the folder `below` in `folder` that is gone, or not as this software wrote it; None where all stand."""
+    listed = _listed(folder)
+    return next((folder / n for n in listed if n.startswith(f"{below}/") and listed[n] != _hash(folder / n)), None)
+
+
 def _refuse_changed(folder: Path, listed: dict[str, str], names: Iterable[str]) -> None:
     for name in names:
         file = folder / name

@@ -103,6 +103,21 @@ def test_a_night_of_other_plans_is_not_gone_on_with(made, tmp_path):
     assert other.code == 2 and "plan: is not empty and holds no night.json" in other.err
 
 
+def test_a_lost_plan_is_made_again_and_a_changed_one_refused(made, tmp_path):
+    """Both stood as safe to move in table and page."""
+    shutil.copytree(made[0], tmp_path / "copy")
+    copy = tmp_path / "copy"
+    program = copy / "night" / "blade" / "BLADE_01.src"
+    program.write_text(program.read_text().replace("A1", "A2", 1))
+    before = tree(copy / "night")
+    told = called(app, copy, "bad #1.stl", "blade.stl", *ASKED)
+    assert told.code == 2 and "blade/BLADE_01.src: is gone or was changed since it was written; put it back, or move" in told.err
+    assert tree(copy / "night") == before
+    shutil.rmtree(copy / "night" / "blade")
+    assert called(app, copy, "bad #1.stl", "blade.stl", *ASKED).code == 1
+    assert tree(copy / "night" / "blade") == tree(made[0] / "night" / "blade")
+
+
 def test_an_interrupted_night_keeps_what_is_done_and_goes_on(made, tmp_path):
     folder, _ = made
     for name in ("cell.toml", "blade.stl"):
