@@ -383,7 +383,7 @@ def _turn_notice(given: Readings, used: Readings) -> list[str]:
     if used.sigma_turn is None or used.sigma_turn is given.sigma_turn:
         return []
     stated = stated_turn_sd(given)
-    told = "no column sigma_rot_deg" if stated is None else f"sigma_rot_deg states {np.degrees(stated):.2g}, degrees are meant"
+    told = "no column sigma_rot_deg" if stated is None else f"sigma_rot_deg, in degrees, states {np.degrees(stated):.2g}"
     sd = f"{np.degrees(used.sigma_turn[0]):.2g} deg"
     return [f"{told}: the 6D target's orientation is taken as good to {sd}, as it scatters about the arm"]
 

@@ -259,9 +259,8 @@ def implausible(active: Sequence[Active]) -> list[tuple[Name, str]]:
     """Names with values over three times the range, two standard errors sure, with what is wrong."""
     found = []
     for one in active:
-        upper = np.asarray(one.effect.prior_sd, float)
         sd = np.sqrt(np.maximum(np.diag(one.covariance), 0.0))
-        if (np.abs(one.a) - rules.IMPLAUSIBLE_SD * sd > rules.IMPLAUSIBLE * upper).any():
+        if (np.abs(one.a) - rules.IMPLAUSIBLE_SD * sd > rules.IMPLAUSIBLE * np.array(one.effect.prior_sd)).any():
             found.append((Name(*one.key), "its value is over three times what real cells show"))
         for a, s, positive, key in zip(one.a, sd, positive_of(one.effect), one.effect.coefficients, strict=True):
             if positive and a < -rules.WRONG_SIGN_SD * s:
