@@ -13,6 +13,7 @@ from ocp.calibrate.force.log import ForceLog, read_force_log
 from ocp.calibrate.force.model import ForceModel
 from ocp.calibrate.force.noise import Whitener
 from ocp.calibrate.force.rows import ForceSetup, log_conditions, prepare_force
+from ocp.diagnose import answering
 from ocp.diagnose.answering import _shown
 from ocp.diagnose.engine.channel_system import Fold
 from ocp.diagnose.engine.findings import Name, Options
@@ -570,6 +571,22 @@ def test_a_patch_of_an_arm_over_time_wants_the_campaigns_clock(made):
         asked = replace(sealed, clock=clock)
         told = with_patch(after.predict(asked, ()), found, asked)
         assert (told.inside == inside).all() and bool(told.lacking) != inside and np.isfinite(told.patched_sigma).all()
+
+
+def test_a_zero_set_anew_goes_by_session_and_the_next_ones_may_be_as_far_off(made, tmp_path, monkeypatch):
+    """No name and no patch is of it: it is told, and is in the sigma of what nobody has seen."""
+    late = made.channel.log.run >= 4
+    log, truth = _log(made.base, (Planted(reading=lambda c, F: 0.8 * (c["run"] >= 4)),), tmp_path)
+    log = replace(log, session=late.astype(np.int64), sessions=("morning", "noon"))
+    d = diagnose_channels([_again(made, log)], EFFECTS, Options(folds=False))
+    assert d.p_unknown > 0.95 and d.remainder is not None and d.remainder.depends_on == ("session",)
+    assert {a.effect.name for a in d.active} <= {"sensor_bias"} and unnamed(d, ()) is None
+    sealed = replace(log, fn=np.full(len(log), np.nan), ft=None)
+    gaps = (signal_gap(d, d.baseline[0], d.channels[0]),)
+    monkeypatch.setattr(answering, "told_beyond", lambda *_: ())
+    shared = {"data": None, "unknown": None, "patch": None, "fitted": d.baseline, "written": (), "gaps": gaps}
+    told = answering.predict_sealed(SimpleNamespace(diagnosis=d, asked={"force": sealed}, **shared))["force"]
+    assert np.sqrt(np.mean(((told.corrected[:, 0] - truth) / told.sigma[:, 0])[log.contact] ** 2)) < 1.5
 
 
 UNKNOWN = {

@@ -38,10 +38,10 @@ SOFT = 4.0  # wave number at which their prior has fallen to half
 MOST_GROUPS = 12
 BY_RUN = " x run"  # waves whose phase each run has for itself
 CLOCK_WAVES = 12  # of the campaign's clock at most, half waves
-_SCALAR = ("s", "feed", "setpoint", "travel", "belt", "clock", "time", "temperature", "wheel_temperature", "run", "line")
+_SCALAR = "s, feed, setpoint, travel, belt, clock, time, temperature, wheel_temperature, run, line, session".split(", ")
 _TWO = "travel s, travel feed, setpoint s, setpoint clock, setpoint belt, setpoint feed, clock s, belt time, feed s"
 # What a patch calls conditions of a reading; none: it has no such.
-_IN_WORDS = {"clock": "time", "temperature": "warm", "wheel_temperature": "wheel", "time": "", "run": ""}
+_IN_WORDS = {"clock": "time", "temperature": "warm", "wheel_temperature": "wheel", "time": "", "run": "", "session": ""}
 
 Words = Sequence[str]
 """Features of one variant, as a patch has them."""
@@ -241,7 +241,7 @@ def _of_one(c: ReadingConditions, where: str, count: int = 3) -> tuple[Array, Wo
     values, word = getattr(c, where), _IN_WORDS.get(where, where)
     if values is None or np.ptp(values) == 0:
         return None
-    if where in ("run", "line", "travel"):
+    if where in ("run", "line", "travel", "session"):
         indicator = groups(values)
         told = [f"line {k}" for k in lesser(values)] if where == "line" else [word] if word else []
         return None if indicator is None or indicator.shape[1] > MOST_GROUPS else (indicator, told)

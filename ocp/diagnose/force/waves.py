@@ -190,8 +190,7 @@ def _peaks(gain: Array) -> list[int]:
     """Indices of the largest gains, a line's width apart."""
     left, found = gain.copy(), list[int]()
     while len(found) < WAVES_PICKED and left.size and left.max() > 0:
-        k = int(np.argmax(left))
-        found.append(k)
+        found.append(k := int(np.argmax(left)))
         left[max(0, k - FINE) : k + FINE + 1] = 0.0
     return found
 
