@@ -132,8 +132,7 @@ def answer_of(folder: Path, phases: Phases, known: dict[str, Effect] | None = No
     with phases.phase("diagnosis"):
         found = diagnose_channels(channels, with_either_sign(known, data.believed))
     with phases.phase("next"):
-        pairs = zip(found.baseline, found.channels, strict=True)
-        gaps = tuple(signal_gap(found, b, a, asked.get(b.name)) for b, a in pairs)
+        gaps = tuple(signal_gap(found, b, a, asked.get(b.name)) for b, a in zip(found.baseline, found.channels, strict=True))
         experiments = next_experiments(found, known)
     told = [n for channel in channels for n in getattr(getattr(channel, "problem", None), "notices", ())]
     blind = tuple(dict.fromkeys((*(n for n in told if blinds(n)), *data.blind, *grouped(found.blind))))

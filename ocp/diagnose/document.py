@@ -289,8 +289,7 @@ def _plain(value: Any) -> Any:
 def _location(d: Diagnosis) -> dict[str, Any]:
     empty = {"signal": None, "subsystem": None, "joint": None, "depends_on": (), "segments": ()}
     at = empty if d.location is None else asdict(d.location)
-    listed = [b for k, b in enumerate(d.budget) if k < LEAST_BUDGET or b.share > 0][:MOST_BUDGET]
-    return at | {"budget": listed}
+    return at | {"budget": [b for k, b in enumerate(d.budget) if k < LEAST_BUDGET or b.share > 0][:MOST_BUDGET]}
 
 
 def _remaining(gap: SignalGap, at: Location | None) -> dict[str, Any]:

@@ -22,6 +22,7 @@ from ocp.diagnose.force.waves import FINE, _gains, _knocks, _scores, likely_trai
 from ocp.diagnose.rules import HOPELESS_FITS, OVERTONES, TRAINS_OFFERED
 from ocp.diagnose.verdict import diagnosis
 from ocp.diagnose.verdict.diagnosis import diagnose_channels, findings
+from ocp.diagnose.verdict.probabilities import _variants
 from robots.errors import Infeasible
 from tests.diagnose.test_diagnosis_force import EFFECTS, Made, _active, _again, _log, _part, made  # noqa: F401
 from tests.support.diagnosis_force_world import Planted
@@ -48,6 +49,35 @@ def test_a_train_of_knocks_is_found_by_rate_place_and_length(made: Made, tmp_pat
     assert abs(off - np.round(off)) < 0.01 and best["length"] == pytest.approx(length, rel=0.15)
     after = channel.with_active((_active("belt_splice", scanned=best),)).active[0]
     assert after.a == pytest.approx([1.2, -0.42], abs=0.05)  # planted in the normal reading alone
+
+
+def test_a_train_is_as_sharp_as_the_readings_and_long_after_them_may_be_out_of_step(made: Made, tmp_path):  # noqa: F811
+    hz, turn, length = 11.213, 0.85, 0.05
+
+    def knock(c, F):
+        return 2.0 * (F > 0) * (c["belt"] != 0) * bell(hz * c["clock"] - turn, length)
+
+    log, _ = _log(made.base, (Planted(reading=knock),), tmp_path)
+    channel = _again(made, log)
+    best = likely_trains(channel.problem, channel.fit).found[0]
+    after = channel.with_active((_active("belt_splice", scanned=best),))
+    (one,) = after.active
+    clock = channel.problem.scene.conditions.clock
+    place = (best["hz"] - hz) * clock[log.contact].mean() - best["turn"] + turn
+    assert abs(place) < 2.0 * length * np.sqrt(2.0 * one.covariance[0, 0]) / one.a[0]
+    told = _variants(SimpleNamespace(channels=[after]), None, after.active, 0.9)
+    first, *others = (a.active[0].scanned for a in told)
+    assert first == best and others[0]["hz"] < hz < others[1]["hz"] and {a.probability for a in told} == {0.9 / 3.0}
+
+    def off(train, at):
+        shown = [bell(s["hz"] * at - s["turn"], length) for s in (train, first)]
+        return 2.0 * (shown[0] - shown[1])
+
+    for other in others:  # as the readings tell them apart, and as they are 300 logs later
+        white = after.fit.whiteners[0].whole((log.contact * off(other, clock))[:, None])
+        assert 0.5 < np.sum(white**2) < 4.0
+        late = clock.max() + 300.0 * np.ptp(clock) + np.linspace(0.0, 2.0, 2000)
+        assert np.abs(off(other, late)).max() > 1.5
 
 
 @pytest.mark.parametrize("rubs", [0.0, 1.0])

@@ -240,8 +240,7 @@ class Linearisation:
 
     def best_with(self, sets: Mapping[Key, Weighed], name: Name) -> Weighed:
         """The best of the sets that have a name."""
-        f = self.index[name]
-        return max((s for k, s in sets.items() if f in k), key=lambda s: s.log)
+        return max((s for k, s in sets.items() if self.index[name] in k), key=lambda s: s.log)
 
     def signature(self, weighed: Weighed, one: Active) -> Array:
         """Projected signature (N,) of an effect of a set at its value."""

@@ -262,8 +262,7 @@ def outliers_rechecked(
     search = Search(whole.pool, options.most, options.beam)
     names = {a.key for a in held}
     key = [i for n, i in whole.index.items() if (n.effect, n.joint) in names]
-    there = weigh(whole.pool, key) if key else NOTHING
-    value = search.scan(there).log + search.odds
+    value = search.scan(weigh(whole.pool, key) if key else NOTHING).log + search.odds
     value[[*key, *np.flatnonzero(search.kernel | search.background)]] = -np.inf
     for f in np.argsort(-value)[: rules.RECHECKED]:
         if value[f] <= 0:

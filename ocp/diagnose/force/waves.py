@@ -28,10 +28,10 @@ from typing import Any
 import numpy as np
 from scipy.special import chdtrc, chdtri
 
+from ocp.diagnose import rules
 from ocp.diagnose.engine.channel_system import Wave
 from ocp.diagnose.engine.kernels import BY_RUN
 from ocp.diagnose.force.fit import EffectFit, ForceProblem
-from ocp.diagnose.rules import KNOCKING, LEAST_WAVES, OVERTONES, PLACE_SURE, RUNS_APART, TRAINS_OFFERED, WAVES_PICKED
 from ocp.effects.belt_splice import LENGTHS, RATES, USUAL
 from ocp.effects.effect import Scanned
 from robots.pose import Array, Mask
@@ -58,7 +58,7 @@ def telling_waves(problem: ForceProblem, fit: EffectFit) -> tuple[Wave, ...]:
     for where, along, weight, highest in _kinds(problem, fit):
         # Everything within a run is seen against the run's own mean: the longest stretch sets how many waves differ.
         length = max(float(np.ptp(along[(c.run == r) & log.contact])) for r in np.unique(c.run[log.contact]))
-        lowest = LEAST_WAVES / max(length, 1e-9)
+        lowest = rules.LEAST_WAVES / max(length, 1e-9)
         if highest < 2 * lowest:
             continue
         numbers = np.arange(lowest, highest, 1.0 / (FINE * length))
@@ -69,17 +69,17 @@ def telling_waves(problem: ForceProblem, fit: EffectFit) -> tuple[Wave, ...]:
         gain = score / np.interp(numbers, numbers[probes], sizes)
         if where == "time wave":
             # Where trains have their tones, up to half the logging rate; slower ones would follow what smooth functions are for.
-            finer = np.arange(max(lowest, RATES[0]), highest / HIGHEST, 1.0 / (FINE * OVERTONES * length))
-            found += _apart(problem, fit, y, "time wave" + BY_RUN, finer, along, OVERTONES)
+            finer = np.arange(max(lowest, RATES[0]), highest / HIGHEST, 1.0 / (FINE * rules.OVERTONES * length))
+            found += _apart(problem, fit, y, "time wave" + BY_RUN, finer, along, rules.OVERTONES)
             found += _knocks(numbers, gain, highest / HIGHEST, along, touching)
-        among = max(int(len(numbers) / 2), WAVES_PICKED)
+        among = max(int(len(numbers) / 2), rules.WAVES_PICKED)
         waves = [(where, numbers[k], 1) for k in _peaks(gain)]
-        tones = np.arange(1, OVERTONES + 1)
-        able = numbers[numbers * OVERTONES <= numbers[-1]]
+        tones = np.arange(1, rules.OVERTONES + 1)
+        able = numbers[numbers * rules.OVERTONES <= numbers[-1]]
         periods = np.sum([np.interp(tone * able, numbers, gain) for tone in tones], axis=0)
         for k in _peaks(periods):
             # The last tone's lines are as many times narrower.
-            near = able[k] + np.linspace(-1.0, 1.0, 4 * OVERTONES + 1) / (FINE * length)
+            near = able[k] + np.linspace(-1.0, 1.0, 4 * rules.OVERTONES + 1) / (FINE * length)
             every = np.outer(tones, near).ravel()
             gains = np.abs(np.exp(2j * np.pi * np.outer(every, along)) @ (masked * y)) ** 2
             best = np.argmax((gains / np.interp(every, numbers[probes], sizes)).reshape(len(tones), -1).sum(axis=0))
@@ -93,10 +93,10 @@ def telling_waves(problem: ForceProblem, fit: EffectFit) -> tuple[Wave, ...]:
 def _knocks(numbers: Array, gain: Array, half: float, along: Array, touching: Array) -> Iterator[Wave]:
     """The period of many tones that gains most, where that is more than chance; a tone beyond `half` the logging rate is read at
     its image. numbers, gain (k,): of single waves; along (n,): what is even of the log's time."""
-    rates = np.arange(RATES[0], half, (numbers[1] - numbers[0]) / KNOCKING)
+    rates = np.arange(RATES[0], half, (numbers[1] - numbers[0]) / rules.KNOCKING)
     if not len(rates):  # so slow a log shows none
         return
-    tones = np.outer(np.arange(1, KNOCKING + 1), rates)
+    tones = np.outer(np.arange(1, rules.KNOCKING + 1), rates)
     image = np.abs(tones - 2 * half * np.round(tones / (2 * half)))
     order = np.argsort(image, axis=0)
     tones, image = np.take_along_axis(tones, order, 0), np.take_along_axis(image, order, 0)
@@ -104,8 +104,8 @@ def _knocks(numbers: Array, gain: Array, half: float, along: Array, touching: Ar
     inside = apart & (image >= numbers[0]) & (image <= numbers[-1])
     gained = np.sum(np.where(inside, np.interp(image, numbers, gain), 0.0), axis=0)
     best = int(np.argmax(gained))
-    if len(rates) * chdtrc(2 * inside[:, best].sum(), gained[best]) < PLACE_SURE:
-        columns = np.hstack([_both(tone * along) for tone in tones[inside[:, best], best]]) / KNOCKING  # together 1 high
+    if len(rates) * chdtrc(2 * inside[:, best].sum(), gained[best]) < rules.PLACE_SURE:
+        columns = np.hstack([_both(tone * along) for tone in tones[inside[:, best], best]]) / rules.KNOCKING  # together 1 high
         yield Wave("time knocks", float(rates[best]), touching[:, None] * columns, len(rates) // 2)
 
 
@@ -119,7 +119,7 @@ def _apart(
         return
     runs = [(log.run == r) & log.contact for r in np.unique(log.run[log.contact])]
     each = np.array([own for own in runs if np.ptp(along[own]) * numbers[0] > 1.0])  # a wheel that stands makes no waves
-    if not 1 < len(each) <= RUNS_APART:
+    if not 1 < len(each) <= rules.RUNS_APART:
         return
     probes = np.unique(np.linspace(0, len(numbers) - 1, LENGTH_PROBES).round().astype(int))
     gain = np.zeros(len(numbers))
@@ -128,12 +128,12 @@ def _apart(
     for count, name in {most: where.replace("wave", "period"), 1: where}.items():
         tones, able = np.arange(1, count + 1), numbers[numbers * count <= numbers[-1]]
         gained = np.sum([np.interp(tone * able, numbers, gain) for tone in tones], axis=0)
-        if len(able) * chdtrc(2 * count * len(each), gained.max()) > PLACE_SURE:
+        if len(able) * chdtrc(2 * count * len(each), gained.max()) > rules.PLACE_SURE:
             continue  # chance makes as much, and every column is carried through all that follows
         best = float(able[gained.argmax()])
         columns = np.hstack([_both(tone * best * along) for tone in tones])
         columns = (each.T[:, :, None] * columns[:, None]).reshape(len(log), -1)
-        yield Wave(name, best, columns, max(len(numbers) // (2 * most), WAVES_PICKED))
+        yield Wave(name, best, columns, max(len(numbers) // (2 * most), rules.WAVES_PICKED))
 
 
 def _lengths(fit: EffectFit, weight: Array | Mask, numbers: Array, along: Array) -> Array:
@@ -189,7 +189,7 @@ def _both(turns: Array) -> Array:
 def _peaks(gain: Array) -> list[int]:
     """Indices of the largest gains, a line's width apart."""
     left, found = gain.copy(), list[int]()
-    while len(found) < WAVES_PICKED and left.size and left.max() > 0:
+    while len(found) < rules.WAVES_PICKED and left.size and left.max() > 0:
         found.append(k := int(np.argmax(left)))
         left[max(0, k - FINE) : k + FINE + 1] = 0.0
     return found
@@ -200,7 +200,7 @@ PLACES = 32  # in a turn
 BELLS = np.geomspace(*LENGTHS, 6)
 LOOKED = 4096  # rates looked at in one piece, which stays at hand
 KEPT = 6  # trains of each clock that are looked at exactly
-SHARP = 3  # halvings of the steps there
+SHARP = 3  # halvings of the steps there, at least
 PROBES = 12
 FAR = 2**22  # points at most of the transform over a campaign's clock; a longer one is not looked at for knocks
 
@@ -239,9 +239,9 @@ def likely_trains(problem: ForceProblem, fit: EffectFit) -> SpliceTrains:
         return SpliceTrains((), 1)
     found.sort(key=lambda one: -one[0])
     gain, best, sharpness = found[0]
-    offered = (*(scanned for _, scanned, _ in found[:TRAINS_OFFERED]), *_around(best))
-    among = _as_many(sharpness, gain) * (len(offered) - TRAINS_OFFERED + 1)
-    picked = len(found[:TRAINS_OFFERED]) * (float(chdtri(1, min(2.0 / _as_many(sharpness, 2 * np.pi), 1.0))) - 1.0)
+    offered = (*(scanned for _, scanned, _ in found[: rules.TRAINS_OFFERED]), *_around(best))
+    among = _as_many(sharpness, gain) * (len(offered) - rules.TRAINS_OFFERED + 1)
+    picked = len(found[: rules.TRAINS_OFFERED]) * (float(chdtri(1, min(2.0 / _as_many(sharpness, 2 * np.pi), 1.0))) - 1.0)
     return SpliceTrains(offered, max(round(among), len(offered)), picked)
 
 
@@ -322,7 +322,8 @@ def _exact(problem: ForceProblem, fit: EffectFit, y: Array, scanned: Scanned) ->
     steps = {"hz": 0.06 / span, "turn": 0.5 / PLACES, "length": 0.25}
     best: dict[str, Any] = dict(scanned)
     level = _gains(problem, fit, y, time, [scanned])[0]
-    for _ in range(4 * SHARP):
+    # Until a step is within what the readings tell of the place: what is left of a strong train lies about its knocks.
+    while steps["turn"] > min(0.5 / PLACES / 2**SHARP, 0.5 * best["length"] * np.sqrt(2.0 / max(level, 1.0))):
         moves = []
         for sign in (-1.0, 1.0):
             hz = best["hz"] + sign * steps["hz"]
@@ -332,7 +333,7 @@ def _exact(problem: ForceProblem, fit: EffectFit, y: Array, scanned: Scanned) ->
             moves.append(best | {"length": float(np.clip(best["length"] * (1.0 + sign * steps["length"]), *LENGTHS))})
         gains = _gains(problem, fit, y, time, moves)
         k = int(np.argmax(gains))
-        if gains[k] > level * (1.0 + 1e-3):
+        if gains[k] > level + min(1e-3 * level, rules.SHARPER_GAIN):
             best, level = moves[k], gains[k]
         else:
             steps = {key: 0.5 * step for key, step in steps.items()}

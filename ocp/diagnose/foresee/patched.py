@@ -98,8 +98,7 @@ def _others(diagnosis: Diagnosis, written: tuple[Active, ...], after: Channel) -
 def beyond(channel: Channel, patches: Sequence[Active], sealed: Any) -> tuple[Array, Mask]:
     """Variance (n, k) SI^2 of what the patches leave open where they fade, and whether (n,) every condition of theirs lies in its
     measured range; `sealed`: conditions. Where these lack a column the usual size of a patch is in the predictions' sigma."""
-    each = _of_points if isinstance(channel, TrackerChannel) else _of_forces
-    told = list(each(channel, patches, sealed))
+    told = list((_of_points if isinstance(channel, TrackerChannel) else _of_forces)(channel, patches, sealed))
     open_, inside = np.zeros((len(sealed), 1)), np.full(len(sealed), len(told) == len(patches))
     for outside, usual in told:
         open_ = open_ + (1.0 - np.exp(-(outside**2)))[:, None] * usual

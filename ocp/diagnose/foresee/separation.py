@@ -67,8 +67,7 @@ def unlike(shared: Sequence[ReadingRows], pair: RivalPair, beside: Sequence[Read
 
 def scans_of(every: Sequence[ReadingRows], effect: Effect, joint: int) -> list[Scanned]:
     """Variants of an effect that the first rows which show it offer, a few of them evenly over its scan."""
-    scans = next((found for c in every if (found := c.variants(effect, joint)[0])), ())
-    return few_of(scans, MOST_SCANS)
+    return few_of(next((found for c in every if (found := c.variants(effect, joint)[0])), ()), MOST_SCANS)
 
 
 def few_of(scans: Sequence[Scanned], most: int) -> list[Scanned]:

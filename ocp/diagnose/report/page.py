@@ -98,8 +98,7 @@ def gaps_table(answer: Answer) -> Table:
         cells = (SHORT[gap.name], gap.unit, figure(gap.noise_floor))
         rows.append((*cells, *(figure(v[k]) for k in ("rms", "mean", "max") for v in (before, after)), told))
     sizes = [word for what in ("rms", "mean", "max") for word in (f"{what} before", "after")]
-    columns = ("signal", "unit", "noise", *sizes, "shrinkage expected")
-    return table(columns, rows, text=(0, 1, 9))
+    return table(("signal", "unit", "noise", *sizes, "shrinkage expected"), rows, text=(0, 1, 9))
 
 
 def shrinkage_plot(gap: SignalGap) -> Plot:

@@ -16,7 +16,7 @@ because its background takes it, the machine has it all the same, under no name:
 """
 
 from collections import defaultdict
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 
@@ -216,16 +216,28 @@ def _nameless(problem: Linearisation, other: Weighed, active: Sequence[Active], 
 
 
 def _variants(problem: Linearisation, weighed: Weighed, active: tuple[Active, ...], whole: float) -> list[Alternative]:
-    """The accepted set, its probability shared among the words that its effects may act on: payloads, nests, other joints."""
+    """The accepted set, its probability shared among the words that its effects may act on, payloads, nests, other joints, and
+    among rates of a train of knocks."""
     shares: list[tuple[float, tuple[Active, ...]]] = [(1.0, active)]
-    for member in problem.named(weighed):
-        name = problem.pool.families[member.family].name
-        place = next((i for i, a in enumerate(active) if a.key == (name.effect, name.joint)), None)
-        if place is None or not _words(active[place].scanned):
-            continue
-        listed = _by_words(problem, weighed, member, active[place])
+    for place, own in enumerate(active):
+        listed = [(1.0, own)]
+        if _words(own.scanned):
+            listed = _by_words(problem, weighed, problem.member(weighed, Name(*own.key)), own)
+        elif "hz" in own.scanned and own.scanned.get("clocked"):
+            listed = [(1.0 / 3.0, one) for one in _by_rate(problem, own)]
         shares = [(s * p, (*a[:place], one, *a[place + 1 :])) for s, a in shares for p, one in listed]
     return [Alternative(whole * s, a) for s, a in shares]
+
+
+def _by_rate(problem: Linearisation, one: Active) -> Iterator[Active]:
+    """A train on the campaign's clock at its rate and one to either side, as far off as the readings leave open, the knocks in
+    their middle where they are: long after them nobody knows whether the train still is in step."""
+    c, s = next(c.conditions for c in problem.channels if c.name == "force"), one.scanned
+    assert c.clock is not None and c.contact is not None
+    clock = c.clock[c.contact > 0]
+    off = s["length"] * np.sqrt(3.0 * one.covariance[0, 0]) / max(abs(one.a[0]) * float(clock.std()), 1e-12)
+    for hz in (0.0, -off, off):
+        yield replace(one, scanned={**s, "hz": s["hz"] + hz, "turn": (s["turn"] + hz * float(clock.mean())) % 1.0})
 
 
 def _by_words(problem: Linearisation, weighed: Weighed, member: Member, one: Active) -> list[tuple[float, Active]]:
