@@ -123,7 +123,7 @@ COLUMNS: dict[str, tuple[float, float, str]] = {
     "_deg_s2": (-1e7, 1e7, "no axis is faster"),
     "_N": (-1e7, 1e7, "a thousand tonnes"),
     "_Nm": (-1e7, 1e7, "more than any gear holds"),
-    "_m_s": (-1e4, 1e4, "no belt is faster"),
+    "_m_s": (-300.0, 300.0, "no belt is faster: what a cell may say; metres per minute lie above"),
     "_s": (-1e10, 1e10, "300 years"),
     "": (-1e9, 1e9, "no column holds more"),
 }

@@ -34,12 +34,16 @@ from robots.toml_files import TomlTable, parse_toml
 _LENGTH = {"mm": 1.0, "m": 1e3, "cm": 10.0, "um": 1e-3, "in": 25.4}
 _ANGLE = {"deg": 1.0, "rad": 180.0 / np.pi, "mrad": 0.18 / np.pi, "arcmin": 1.0 / 60.0, "arcsec": 1.0 / 3600.0, "rev": 360.0}
 _FORCE = {"N": 1.0, "kN": 1e3, "mN": 1e-3}
+_SPEED, _TURNING = (
+    {f"{u}/{t}": f / seconds for u, f in units.items() for t, seconds in (("s", 1.0), ("min", 60.0))}
+    for units in (_LENGTH, _ANGLE)
+)
 _TIME = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0, "h": 3600.0}
 # Units of a column by the end of its name, longer ends first; what one of theirs is of ours.
 UNITS: dict[str, dict[str, float]] = {
-    "_deg_s": {f"{u}/s": f for u, f in _ANGLE.items()} | {"rpm": 6.0},
-    "_mm_s": {f"{u}/s": f for u, f in _LENGTH.items()},
-    "_m_s": {f"{u}/s": 1e-3 * f for u, f in _LENGTH.items()},
+    "_deg_s": _TURNING | {"rpm": 6.0},
+    "_mm_s": _SPEED,
+    "_m_s": {u: 1e-3 * f for u, f in _SPEED.items()},
     "_Nm": {"Nm": 1.0, "kNm": 1e3, "Nmm": 1e-3},
     "_mm": _LENGTH,
     "_um": {u: 1e3 * f for u, f in _LENGTH.items()},

@@ -208,6 +208,18 @@ def test_clocks_run_and_recordings_are_given_once(tmp_path):
     assert len(read(tmp_path, table + again)) == 2 * (STILL + 1)
 
 
+def test_sessions_that_each_began_at_zero_are_told(tmp_path):
+    day = [
+        row | {"run": run, "session": run, "clock_s": at, "fn_N": 20.0 + at}
+        for run, at in (("a", 0.0), ("a", 9.0))
+        for row in rows(1)
+    ]
+    for begins, told in ((3.0, 1), (9.0, 0)):
+        again = [row | {"run": "b", "session": "b", "clock_s": begins + row["clock_s"]} for row in day]
+        found = [n for n in read(tmp_path, day + again).notices if "session b begins at 3 s, before session a ends at 9 s" in n]
+        assert len(found) == told
+
+
 def test_too_few_rows_in_a_row_tell_no_noise(tmp_path):
     refuse_few_rows(read(tmp_path, rows(LEAST_ROWS + 1)))
     refuse_few_rows(read(tmp_path, [row | {"run": str(k // 2)} for k, row in enumerate(rows(2 * LEAST_ROWS))]))

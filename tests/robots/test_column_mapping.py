@@ -102,6 +102,18 @@ def test_a_mapping_that_does_not_fit_is_refused(tmp_path, old, new, said):
             readings(tmp_path, MAPPING.replace(old, new))
 
 
+def test_speeds_may_be_told_by_the_minute_and_a_belt_of_metres_a_minute_is_no_belt(tmp_path):
+    units = {"belt_m_s": "m/min", "feed_mm_s": "m/min", "qd1_deg_s": "rev/min", "qd2_deg_s": "rpm"}
+    (tmp_path / "m.toml").write_text(
+        "".join(f'{name} = {{ from = "{name}", unit = "{unit}" }}\n' for name, unit in units.items())
+    )
+    (tmp_path / "t.csv").write_text(",".join(units) + "\n1200,2.4,2,2\n")
+    table = read_csv_table(tmp_path / "t.csv", tuple(units), mapping=read_column_mapping(tmp_path / "m.toml"))
+    assert [round(float(table.numbers[name][0]), 9) for name in units] == [20.0, 40.0, 12.0, 12.0]
+    with pytest.raises(BadInput, match="line 2, column belt_m_s: 1200.* is not between -300 and 300"):
+        read_csv_table(tmp_path / "t.csv", tuple(units))
+
+
 def test_separators_are_told_where_the_mapping_lacks_them(tmp_path):
     (tmp_path / "m.toml").write_text(AXES)
     (tmp_path / "t.csv").write_text("a;b\n1;2\n")

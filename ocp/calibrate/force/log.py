@@ -3,6 +3,7 @@
 import hashlib
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -172,7 +173,7 @@ def log_of_table(table: CsvTable, sealed: bool) -> ForceLog:
         line=_counts(table, "line"),
         ground_before=_counts(table, "ground_before"),
         row=np.array(table.line),
-        notices=(*table.ignored_columns(), *blind, *_standing_still(table, run, contact)),
+        notices=(*table.ignored_columns(), *blind, *_standing_still(table, run, contact), *_at_once(table, session, sessions)),
         clock=table.column("clock_s", 1.0, lambda v: v < 0, "zero or above: how long the wheel has run"),
         **{name: table.numbers.get(column) for name, column in PLAIN.items()},
     )
@@ -441,6 +442,18 @@ def _check_clock(table: CsvTable, run: Index) -> None:
     if recorded > COARSE * len(rows) + UNCOUNTED * span:
         why = f"counts {span:.6g} s from the first recording to the last, those before it take {recorded:.6g} s; give one clock"
         raise table.refuse(int(rows[-1][0]), "clock_s", f"{why} of seconds for all")
+
+
+def _at_once(table: CsvTable, session: Index, sessions: tuple[str, ...]) -> list[str]:
+    """A notice of sessions that overlap on the campaign's clock, as those do that each began at zero."""
+    clock = table.numbers.get("clock_s", np.zeros(len(table)))
+    spans = sorted((*np.quantile(clock[session == k], (0.0, 1.0)).tolist(), shown(name)) for k, name in enumerate(sessions))
+    return [
+        f"{table.path.name}, column clock_s: session {other} begins at {begin:g} s, before session {one} ends at {end:g} s; one "
+        "clock counts for all: where each began at zero, what wears, warms up or drifts is told wrong"
+        for (_, end, one), (begin, _, other) in pairwise(spans)
+        if begin < end
+    ][:1]
 
 
 def _check_copies(table: CsvTable, fn: Array, run: Index, runs: tuple[str, ...]) -> None:
