@@ -57,8 +57,9 @@ class DataSet:
 
     @property
     def believed(self) -> tuple[Active, ...]:
-        """Effects that the cell believes."""
-        return tuple(one.active for one in self.setup.tables.believed)
+        """Effects that the cell believes, in a force log but those that may have fallen out of step."""
+        told = (one.active for one in self.setup.tables.believed)
+        return tuple(one for one in told if self.log is None or not one.falls_out_of_step)
 
     def believed_by(self, signal: str) -> tuple[Active, ...]:
         """Believed effects that a signal's baseline has: it shows them, and its file says what they depend on."""
@@ -118,7 +119,7 @@ def read_data_set(folder: str | Path, columns: Path | None = None) -> DataSet:
         joints=joints,
         inputs=(*files_of(folder / CELL), *(folder / name for name in found), *([] if columns is None else [columns])),
         sealed={s: p for s, p in sealed.items() if learnt[p] in found},
-        notices=tuple([n for n in told if n not in blind] + orphans + _believed(setup.tables)),
+        notices=tuple([n for n in told if n not in blind] + orphans + _believed(setup.tables, log is not None)),
         blind=(*blind, *_not_measured(found)),
         mapping=mapping,
     )
@@ -193,13 +194,16 @@ def _outside(file: str, ranges: dict[str, tuple[Array, Array, float]]) -> Iterat
             )
 
 
-def _believed(tables: CellTables) -> list[str]:
-    """What it means that a cell has effects."""
-    names = [f"{t.effect} of joint {t.joint}" if t.joint else t.effect for t in tables.effects]
-    names += [f"a patch over {t.where}" for t in tables.patches]
-    if not names:
-        return []
-    return [f"{CELL} believes {', '.join(names)}: in the baseline, and what is named of it comes on top"]
+def _believed(tables: CellTables, logged: bool) -> list[str]:
+    """What it means that a cell has effects; logged: there is a force log."""
+    late = [logged and one.active.falls_out_of_step for one in tables.believed[: len(tables.effects)]]
+    named = [f"{t.effect} of joint {t.joint}" if t.joint else t.effect for t in tables.effects]
+    names = [name for name, anew in zip(named, late, strict=True) if not anew] + [
+        f"a patch over {t.where}" for t in tables.patches
+    ]
+    told = [f"{CELL} believes {', '.join(names)}: in the baseline, and what is named of it comes on top"] if names else []
+    anew = f"{CELL} believes belt_splice: sought anew in {FORCE}, as its knocks may have fallen out of step, and written as found"
+    return [*told, anew] if any(late) else told
 
 
 def _grinding_cell(folder: Path, tables: CellTables) -> Cell:

@@ -196,6 +196,11 @@ class Active:
         return self.effect.name, self.joint
 
     @property
+    def falls_out_of_step(self) -> bool:
+        """Whether it is a train of knocks on the campaign's clock: long after its log nobody knows where they are."""
+        return "hz" in self.scanned and bool(self.scanned.get("clocked"))
+
+    @property
     def parameters(self) -> dict[str, Any]:
         """Values by key of the catalogue."""
         return self.effect.values(self.a, self.scanned)

@@ -15,6 +15,7 @@ from ocp.calibrate.force.noise import Whitener
 from ocp.calibrate.force.rows import ForceSetup, log_conditions, prepare_force
 from ocp.diagnose import answering
 from ocp.diagnose.answering import _shown
+from ocp.diagnose.dataset import DataSet
 from ocp.diagnose.engine.channel_system import Fold
 from ocp.diagnose.engine.findings import Name, Options
 from ocp.diagnose.engine.kernels import kernels
@@ -516,6 +517,20 @@ def test_an_effect_that_the_cell_believes_is_in_the_baseline(made):
     found = fit_effects(believing, (_active("sensor_gain"),), made.channel.fit).active[0]
     assert residual[1] == pytest.approx(1.0, abs=0.1) and residual[1] < residual[0]
     assert abs(found.a[0]) < 0.01  # nothing comes on top
+
+
+def test_a_train_that_may_be_out_of_step_is_sought_anew_and_no_second_one_is_written(made):
+    cell, log = made.base.world.cell, made.channel.log
+    steady, clocked = (
+        effect_of({"effect": "belt_splice", "N": 3.0, "hz": 9.3, "turn": 0.2, "length": 0.05, "clocked": c}) for c in (0.0, 1.0)
+    )
+    told = SimpleNamespace(believed=(steady, clocked))
+    for measured, kept in ((log, [steady.active]), (None, [steady.active, clocked.active])):
+        data = SimpleNamespace(setup=SimpleNamespace(tables=told), log=measured)
+        assert [*DataSet.believed.fget(data)] == kept
+    setup = prepare_force(cell, [log])
+    problem = problem_of(setup, replace(cell, effects=(steady, clocked)), log, arm_posterior(cell))
+    assert [a.scanned["clocked"] for a in problem.scene.given] == [0.0]
 
 
 def test_a_force_patch_is_its_kernel(made):

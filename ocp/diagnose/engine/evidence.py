@@ -134,8 +134,7 @@ def stack(channels: tuple[Channel, ...], put_back: Array) -> Stack:
     systems = [c.system for c in channels]
     blocks = tuple(slice(a, b) for a, b in pairwise(np.cumsum([0, *(len(s.residual) for s in systems)]).tolist()))
     projections = tuple(project(s.nuisance, s.prior_sd) for s in systems)
-    each = zip(projections, systems, blocks, strict=True)
-    y = np.concatenate([p.apply(about_prior(s) + put_back[b]) for p, s, b in each])
+    y = np.concatenate([p.apply(about_prior(s) + put_back[b]) for p, s, b in zip(projections, systems, blocks, strict=True)])
     tailed = [(b, s.reading) for b, s in zip(blocks, systems, strict=True) if s.tailed]
     tails = tuple(Tails(b, np.flatnonzero(np.diff(reading, prepend=-1)).astype(np.int64)) for b, reading in tailed)
     freedom = len(y) - sum(p.free for p in projections) + round(sum(s.picked for s in systems))

@@ -210,8 +210,7 @@ def misses_far_more_than_noise(problem: Linearisation, search: Search) -> bool:
     channels = problem.channels
     if len(channels) != 1 or not isinstance(channels[0], WeighedReadings):
         return False
-    left = problem.taken(search.sets[search.best()[0]]).left
-    return channels[0].restless(float(np.sqrt(left / problem.pool.freedom)))
+    return channels[0].restless(float(np.sqrt(problem.taken(search.sets[search.best()[0]]).left / problem.pool.freedom)))
 
 
 def select_effects(

@@ -270,7 +270,9 @@ def problem_of(
     setup: ForceSetup, cell: Cell, log: ForceLog, arm: Calibration | None, pressed: Mask | None = None
 ) -> ForceProblem:
     """The problem of a log that is the first of a setup; pressed (n,): rows that only contact explains, as the readings say."""
-    effects, cell = [*(e.active for e in cell.effects), *_own_friction(cell)], replace(cell, effects=())
+    # What may be out of step by now is sought anew: beside a wrong train the true one is two.
+    stated = [e.active for e in cell.effects if not e.active.falls_out_of_step]
+    effects, cell = [*stated, *_own_friction(cell)], replace(cell, effects=())
     believed = contact_prior(cell, arm)
     known, theta = log_conditions(cell, log), believed.mean[:M]
     given = tuple(a for a in effects if known.given.issuperset(a.effect.needs))

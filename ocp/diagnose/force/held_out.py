@@ -131,8 +131,7 @@ class Asked:
         """The scene of conditions; what the cell states and they say nothing of is left out. Raises BadInput: points off the
         blade."""
         setup = prepare_force(scene.cell, [log, sealed])
-        used = float(scene.conditions.clock.max())
-        known = log_conditions(scene.cell, sealed, 0.0 if sealed.clock is not None else used)
+        known = log_conditions(scene.cell, sealed, 0.0 if sealed.clock is not None else float(scene.conditions.clock.max()))
         told = predictable(scene.given, lambda effect: known.given.issuperset(effect.needs)).known
         there = replace(scene, model=setup.model, given=told).over(setup.rows[1], known)
         return Asked(sealed, setup.rows[0], there)

@@ -40,8 +40,7 @@ class LogAverages:
     def rows(self, columns: Sequence[Array]) -> Array:
         """Columns (n, m) of each signal, N, as rows of the system (N, m)."""
         short = [w.short(c) for w, c in zip(self.whiteners, columns, strict=True)]
-        fast = sum(b.T @ c for b, c in zip(self.back, columns, strict=True))
-        return np.concatenate([*short, np.asarray(fast)])
+        return np.concatenate([*short, np.asarray(sum(b.T @ c for b, c in zip(self.back, columns, strict=True)))])
 
     def of_whitened(self, white: Array) -> Array:
         """Rows of the system from columns (S, n, m) that are whitened row by row."""

@@ -138,8 +138,7 @@ def log_plot(gap: SignalGap) -> Plot:
 
 def _draw_log(canvas: Canvas, gap: SignalGap, joints: list[int], there: Array) -> None:
     axes = [row[0] for row in panels(canvas, len(joints), 1, down=0.38, bottom=0.36)]
-    scale = SCALE[gap.unit]
-    before, after = (scale * channel.gap()[:, 0] for channel in (gap.baseline, gap.corrected))
+    before, after = (SCALE[gap.unit] * channel.gap()[:, 0] for channel in (gap.baseline, gap.corrected))
     time, run = gap.baseline.conditions.time, gap.baseline.conditions.run
     one_run = time is not None and (run is None or len(np.unique(run)) == 1)
     for ax, j in zip(axes, joints, strict=True):

@@ -223,7 +223,7 @@ def _variants(problem: Linearisation, weighed: Weighed, active: tuple[Active, ..
         listed = [(1.0, own)]
         if _words(own.scanned):
             listed = _by_words(problem, weighed, problem.member(weighed, Name(*own.key)), own)
-        elif "hz" in own.scanned and own.scanned.get("clocked"):
+        elif own.falls_out_of_step:
             listed = [(1.0 / 3.0, one) for one in _by_rate(problem, own)]
         shares = [(s * p, (*a[:place], one, *a[place + 1 :])) for s, a in shares for p, one in listed]
     return [Alternative(whole * s, a) for s, a in shares]
