@@ -595,6 +595,11 @@ def test_a_zero_set_anew_goes_by_session_and_the_next_ones_may_be_as_far_off(mad
     log = replace(log, session=late.astype(np.int64), sessions=("morning", "noon"))
     d = diagnose_channels([_again(made, log)], EFFECTS, Options(folds=False))
     assert d.p_unknown > 0.95 and d.remainder is not None and d.remainder.depends_on == ("session",)
+    assert d.remainder.subsystem == "sensor"
+    (kernel,) = (k for k in kernels(d.baseline[0].conditions) if k.where == "session")
+    assert not kernel.changes[:, 1].any()  # of the gauge alone: a blade gripped anew rubs
+    blade = replace(log, session=np.where(log.contact, log.session, 0))
+    assert not any(k.where == "session" for k in kernels(_again(made, blade).conditions))  # in the air nothing says which
     assert {a.effect.name for a in d.active} <= {"sensor_bias"} and unnamed(d, ()) is None
     sealed = replace(log, fn=np.full(len(log), np.nan), ft=None)
     gaps = (signal_gap(d, d.baseline[0], d.channels[0]),)

@@ -127,8 +127,8 @@ def kernels(c: ReadingConditions) -> Iterator[Kernel]:
     elif c.signal == "force":
         alone = np.broadcast_to(np.eye(k)[:, :1], (n, k, 1))
         for where, features, told, among in _of_reading(c):
-            # What comes by the contact: nothing in the air, and with its friction.
-            by_contact = not among or where.endswith(BY_RUN)
+            # What comes by the contact: nothing in the air, and with its friction. By session a blade gripped anew does, by name.
+            by_contact = (not among or where.endswith(BY_RUN)) and where != "session"
             ways = [c.pressed[:, :, None], alone] if by_contact and c.pressed is not None else [alone]
             yield Kernel(where, "reading", 0, ways, features, *FORCE_KERNEL, x, among, told)
 

@@ -317,7 +317,8 @@ def logged_conditions(problem: ForceProblem, log: ForceLog, c: LogConditions) ->
     return ReadingConditions(
         signal="force",
         clock=c.clock if "clock_s" in c.given else None,
-        session=log.session if len(log.sessions) > 1 else None,
+        # In the air a gauge's zero shows; else a blade gripped anew does the same.
+        session=log.session if len(np.unique(log.session[~log.contact])) > 1 else None,
         contact=log.contact.astype(float),
         tau=weight_torques(scene.cell.robot, log.q, payload.mass, payload.com),
         reference=scene.cell.tables.reference_temperature_C,

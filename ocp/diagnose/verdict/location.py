@@ -28,7 +28,7 @@ _READS = {
     "blade": "s, line, s wave, s period, clock x s, setpoint x s",
     "wheel": "wheel_temperature, belt, turn, clock wave, time wave, time period, time knocks, belt x time, setpoint x clock, "
     "setpoint x belt, turn wave x run, time wave x run, time period x run",
-    "tool": "run, session",
+    "tool": "run",
     "flange": "setpoint, s wave x travel, s period x travel, travel x s",
     "timing": "travel, feed, travel x feed",
 }
