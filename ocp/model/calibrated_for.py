@@ -83,8 +83,8 @@ def _refuse_other_arm(then: object, now: dict[str, Any], where: str) -> None:
     if isinstance(then, dict) and changed:
         key = changed[0]
         raise BadInput(
-            f"{where}: {key} is {_shown(now[key])}, the calibration was made with {_shown(then[key])}, so it is of another arm; "
-            "take robot.calibration out of the cell and calibrate this one, or restore the number"
+            f"{where}: {key} is {_shown(now[key])}, the calibration was made with {_shown(then[key])}, so it is of another arm "
+            "or mounting; take robot.calibration out of the cell and calibrate this one, or restore the number"
         )
 
 

@@ -217,7 +217,7 @@ def read_cell(path: str | Path, blade: str | Path | None = None) -> Cell:
     tables = read_toml(path, CellTables)
     if tables.workpiece is None or tables.wheel is None:
         missing = "workpiece" if tables.workpiece is None else "wheel"
-        raise BadInput(f"{path}: table [{missing}] is missing; planning needs it")
+        raise BadInput(f"{path}: table [{missing}] is missing; only the arm's own calibration and diagnosis do without it")
     robot = _robot(path, tables)
     calibration = _calibration(path, tables, robot)
     cell = Cell(

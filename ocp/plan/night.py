@@ -119,7 +119,7 @@ class _Night:
         the controller; what the cell names cannot travel where the work is done `away`."""
         for blade in self.blades.values():
             if not blade.is_file():
-                raise BadInput(f"{blade}: there is no such file; correct the name")
+                raise BadInput(f"{blade}: there is no such file{', it is a folder' * blade.is_dir()}; correct the name")
             if blade.stat().st_size > MOST_BYTES:
                 raise BadInput(f"{blade}: is larger than the {MOST_BYTES / MEGABYTE:g} MB that are read; give a coarser mesh")
         believed, _ = cell_to_plan(self.cell, next(iter(self.blades.values())), self.options)
@@ -186,7 +186,8 @@ def _named(blades: Sequence[Path]) -> dict[str, Path]:
     for blade in blades:
         same = next((other for name, other in names.items() if name.casefold() == blade.stem.casefold()), None)
         if same is not None:
-            raise BadInput(f"{blade}: would be planned into the same folder as {same}; rename one of them")
+            again = "name it once" if blade.resolve() == same.resolve() else "rename one of them"
+            raise BadInput(f"{blade}: would be planned into the same folder as {same}; {again}")
         if blade.stem in (TABLE, PAGE, MARKER, ""):
             raise BadInput(f"{blade}: would be planned into a folder named {blade.stem}, which stands for all; rename it")
         names[blade.stem] = blade

@@ -171,7 +171,10 @@ def _whitener(campaign: Campaign, linear: Linearised, noise: Noise) -> Array:
         return points
     W = np.zeros((len(readings), 6, 6))
     W[:, :3, :3] = points
-    sd = np.full(len(readings), TURN_SD) if readings.sigma_turn is None else np.nan_to_num(readings.sigma_turn, nan=TURN_SD)
+    stated = readings.sigma_turn
+    told = np.zeros(0) if stated is None else stated[np.isfinite(stated)]
+    usual = float(np.median(told)) if len(told) else TURN_SD
+    sd = np.full(len(readings), usual) if stated is None else np.nan_to_num(stated, nan=usual)
     W[:, 3:, 3:] = np.eye(3) / sd[:, None, None]
     return W
 

@@ -161,6 +161,7 @@ def test_a_blade_whose_process_was_lost_is_tried_again(tmp_path, monkeypatch):
     ("arguments", "says"),
     [
         (["a.stl", "far/A.stl"], "far/A.stl: would be planned into the same folder as a.stl"),
+        (["a.stl", "a.stl"], "a.stl: would be planned into the same folder as a.stl; name it once"),
         (["a 1.stl", "a_1.stl"], "a_1.stl: its program would be called A_1 as that of a 1.stl; rename one of them"),
         (["a.stl", "night.json.stl"], "would be planned into a folder named night.json"),
         (["a.stl", "nowhere.stl"], "nowhere.stl: there is no such file"),

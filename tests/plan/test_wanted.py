@@ -163,7 +163,7 @@ def test_a_depth_beyond_reach_is_left_out_by_name(cell, laid, tmp_path):
 
 
 def test_a_depth_that_no_feed_makes_leaves_everything_out(cell, laid):
-    for removal, remedy in ((5000e-6, "more than once"), (0.02e-6, "leave it as it is")):
+    for removal, remedy in ((5000e-6, "more than once"), (0.02e-6, "leave that place unground")):
         asked = replace(cell, process=replace(cell.process, removal=removal))
         beyond = lay_paths(asked, cell.workpiece.stl, OPTIONS).beyond
         assert len(beyond) == len(laid.paths) and remedy in str(beyond[0])

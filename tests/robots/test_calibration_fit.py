@@ -186,6 +186,8 @@ def test_six_dimensional_targets_give_the_whole_pose():
     assert fit.state.turns[0] == pytest.approx(mounted, abs=3e-3)  # but for the turns of the flange that hide in it
     stated = replace(c, readings=replace(readings, point=points))
     assert with_turn_sd(stated) is stated
+    some = replace(stated.readings, sigma_turn=np.where(np.arange(50) % 2, 5e-5, np.nan))  # the others as the file's usual one
+    np.testing.assert_array_equal(fit_campaign(replace(c, readings=some), priors=PRIORS).residual, fit.residual)
     for times in (1 / 57, 57):  # far too small it held the arm to what orientations scatter, far too large it shrank all others
         wrong = with_turn_sd(replace(stated, readings=replace(stated.readings, sigma_turn=np.full(50, times * 5e-5))))
         assert wrong.readings.sigma_turn == pytest.approx(5e-5, rel=0.25)

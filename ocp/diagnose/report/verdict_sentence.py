@@ -158,7 +158,7 @@ def verdict_sentence(answer: Answer) -> str:
     what = _capital(listed([_or_what_it_may_be(name, d.classes) for name in best.names]))
     verb = "explain" if len(best.names) > 1 else "explains"
     if d.verdict == "partly":
-        first = f"{what} {verb} a part of the gap ({percent(best.probability)})"
+        first = f"{what} {verb} a part of the gap (sure to {percent(best.probability)})"
         return f"{first}; something outside the catalogue remains{_remainder(answer)}. {_levels(answer)}{_promise(answer)}."
     if d.verdict == "explained":
         told = f"{what} {verb} the gap (sure to {percent(best.probability)})"

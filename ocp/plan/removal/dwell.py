@@ -288,11 +288,11 @@ def beyond_reach(cell: Cell, path: BladePath, wanted: Wanted) -> CannotGrind | N
         f"{path.force[k]:g} N, and {1e3 * least:.3g} to {1e3 * most:.3g} can be driven"
     )
     share = float(0.99 * path.feed[beyond].min() / least if slow else 1.01 * path.feed[beyond].max() / most)  # told to 3 digits
-    more = "grind it more than once, or with a larger process.force_N" if slow else "leave it as it is"
+    more = "grind it more than once, or with a larger process.force_N" if slow else "leave that place unground"
     if wanted.programmed_um is None:  # the depth is what the process makes at its feed
         remedy = f"set process.feed_mm_s to {1e3 * cell.process.feed / share:.3g}, or {more}"
     else:
-        remedy = more if slow else "ask for more depth there, lower process.force_N, or leave it as it is"
+        remedy = more if slow else "ask for more depth there, lower process.force_N, or leave that place unground"
     return CannotGrind.of(path, beyond, reason, remedy, k)
 
 
