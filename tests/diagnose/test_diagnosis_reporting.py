@@ -34,7 +34,7 @@ def test_one_core_draws_the_same_page_as_two(tmp_path, monkeypatch):
 def test_a_gap_in_the_noise_is_told_apart_from_one_without_a_name(unknown, words):
     readings = np.full(9, 0.1)
     gap = SimpleNamespace(name="tracker", unit="mm", noise_floor=0.11, before=readings, after=readings, shrinkage=None)
-    told = verdict_sentence._better(SimpleNamespace(gaps=(gap,), diagnosis=SimpleNamespace(p_unknown=unknown)))
+    told = verdict_sentence._better(SimpleNamespace(gaps=(gap,), diagnosis=SimpleNamespace(p_unknown=unknown, active=())))
     assert words in told and "noise 0.11" in told
 
 
