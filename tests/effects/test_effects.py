@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 import ocp.effects
 from ocp.effects.catalogue import effect_list, effects_table, forget_library, library
 from ocp.effects.cell_effects import effect_of, table_of
-from ocp.effects.effect import SUBSYSTEMS, Active, Surroundings, amplitude_and_phase, cosine_and_sine
+from ocp.effects.effect import SUBSYSTEMS, Active, Surroundings, amplitude_and_phase, cosine_and_sine, deviations_among
 from ocp.effects.engine.evaluate import TrackerRows, arm_columns, arm_rows, arm_shift, tracker_columns
 from ocp.shell.cache import OWN_EFFECTS
 from robots.calibration.reading_model import RowInputs, predict
@@ -303,3 +303,18 @@ def test_the_site_lists_the_whole_library():
         assert line.endswith(row.split(" | ")[1])
     assert "scale +-0..0.4" in effect_list() and "gear_ratio 50..300" in effect_list()
     assert "stiffness_N_m 20000..300000 N/m" in effect_list()
+
+
+def test_deviations_over_variants_are_mean_squares_about_the_value_phases_the_short_way():
+    wave, own = library()["gear_harmonic"], 1e-12 * np.eye(2)
+
+    def of(order, amplitude, phase):
+        return Active(wave, 1, cosine_and_sine(amplitude, phase), {"order": order}, own)
+
+    found = deviations_among(of(8, 1e-4, 3.1), [(0.75, of(8, 1e-4, 3.1)), (0.25, of(9, 1.2e-4, -3.1))])
+    assert found["order"] == pytest.approx(0.5)
+    assert found["amplitude_rad"] == pytest.approx(np.sqrt(1e-12 + 0.25 * 4e-10), rel=1e-3)
+    turned = 2 * np.pi - 6.2
+    within = 0.75 * 1e-12 / 1e-8 + 0.25 * 1e-12 / 1.44e-8
+    assert found["phase_rad"] == pytest.approx(np.sqrt(within + 0.25 * turned**2), rel=1e-3)
+    assert "order" not in deviations_among(of(8, 1e-4, 3.1), [(1.0, of(8, 1e-4, 3.1))])
