@@ -91,6 +91,7 @@ def read_cell_without(folder, text):
 ARM = {
     "geometry": ("a_mm = [350.0, 1150.0,", "a_mm = [350.0, 1160.0,", "geometry.a_mm is [350, 1160, "),
     "weight": ("mass_kg = 231.49", "mass_kg = 331.49", "links.link2.mass_kg is 331.49, the calibration was made with 231.49"),
+    "centre": ("com_mm = [41.0, 0.0, 197.37]", "com_mm = [41.0, 0.0, 207.37]", "links.link3.com_mm is [41, 0, 207.37]"),
 }
 
 
