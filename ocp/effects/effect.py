@@ -227,7 +227,7 @@ def deviations_among(one: Active, likely: Sequence[tuple[float, Active]]) -> dic
     squares: dict[str, Array] = {}
     for share, other in likely:
         within, values = other.deviations, other.parameters
-        for key in [*within, *(k for k in ("order",) if k in other.scanned)]:
+        for key in [*within, *({"order"} & other.scanned.keys())]:
             off = np.asarray(values[key], float) - np.asarray(one.parameters[key], float)
             off = _short_way(off) if key == "phase_rad" else off
             squares[key] = squares.get(key, 0.0) + share * (off**2 + np.asarray(within.get(key, 0.0)) ** 2)
