@@ -54,7 +54,7 @@ def probabilities_plot(answer: Answer) -> Plot:
 def _explained(answer: Answer) -> list[tuple[str, float]]:
     """Explanations by the names of the catalogue, joined."""
     told = [e for e in answer.diagnosis.explanations[: MOST_NAMED - 2] if e.probability > 5e-4]
-    return [(" + ".join(str(n) for n in e.names), e.probability) for e in told]
+    return [(" + ".join(str(n).replace("_", " ") for n in e.names), e.probability) for e in told]
 
 
 def _draw_probabilities(canvas: Canvas, answer: Answer) -> None:
