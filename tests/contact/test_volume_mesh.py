@@ -146,9 +146,20 @@ def test_a_mesh_of_too_many_elements_is_made_with_longer_edges(monkeypatch):
 
 def test_no_mesher_is_a_sentence(monkeypatch):
     monkeypatch.setattr(module, "SECONDS", {"netgen": 0.01, "fTetWild": 0.01})
+    monkeypatch.setattr(module, "PATIENCE", 1)
     with pytest.raises(BadInput, match=r"could not be filled .*netgen at 4 mm: not done after .*fTetWild.*repair") as caught:
         volume_mesh(*wedge(), 4e-3)
     assert "\n" not in str(caught.value)
+
+
+def test_a_mesher_is_given_up_by_what_it_computes_not_by_the_clock(monkeypatch, tmp_path):
+    busy = tmp_path / "mesher.py"
+    text = Path(module.__file__).with_name("mesher.py").read_text()
+    busy.write_text(text.replace("    mesh_file(*sys.argv[1:4])", "    while True:\n        pass"))
+    monkeypatch.setattr(module, "__file__", str(busy))
+    monkeypatch.setattr(module, "SECONDS", {"netgen": 1, "fTetWild": 1})
+    with pytest.raises(BadInput, match=r"netgen at 4 mm: not done after 1 s of computing; .*fTetWild"):
+        volume_mesh(*wedge(), 4e-3)
 
 
 def test_useless_surfaces_and_sizes_are_refused():

@@ -1,12 +1,14 @@
-"""Child process that fills a closed surface with tetrahedra: `python mesher.py METHOD INPUT.npz OUTPUT.npz`.
+"""Child process that fills a closed surface with tetrahedra: `python mesher.py METHOD INPUT.npz OUTPUT.npz SECONDS`.
 
 Meshers written in C++ end the process when a surface displeases them, which must not end the caller. Run by its
-path and without any import from this package, so that it starts fast and works from anywhere.
+path and without any import from this package, so that it starts fast and works from anywhere. It ends after so many
+seconds of computing, other processes' not counted, where the system can do that (not on Windows).
 Input: vertices (nv, 3), faces (nf, 3), size, tolerance, all in one length unit. Output: points (np, 3), tetrahedra (nt, 4).
 """
 
 import sys
 import types
+from contextlib import suppress
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,4 +63,8 @@ def mesh_file(method: str, source: str, target: str) -> None:
 
 
 if __name__ == "__main__":
+    with suppress(ImportError):
+        import resource
+
+        resource.setrlimit(resource.RLIMIT_CPU, (int(sys.argv[4]), resource.RLIM_INFINITY))
     mesh_file(*sys.argv[1:4])

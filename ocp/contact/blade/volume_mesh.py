@@ -4,6 +4,7 @@ The surface is remeshed first (`surface_mesh`), then filled by Netgen; fTetWild,
 surface, is the last resort. Each attempt is checked: closed, no turned element, the volume of the surface.
 """
 
+import signal
 import subprocess
 import sys
 import tempfile
@@ -29,7 +30,8 @@ LOOSE_TOLERANCE = 2e-5  # m, for fTetWild, whose time grows as its envelope gets
 MAX_ELEMENTS = 60_000  # more would take minutes and gigabytes
 COARSENED, COARSER = 3, 1.1  # tries with too many elements, and by how much longer their edges get than the count asks for
 MAX_VOLUME_ERROR = 0.01  # of the surface's volume
-SECONDS = {"netgen": 180.0, "fTetWild": 300.0}  # after which a mesher is given up
+SECONDS = {"netgen": 180, "fTetWild": 300}  # of computing, after which a mesher is given up: a busy machine changes no mesh
+PATIENCE = 20  # times as long on the clock: for what hangs, and for systems that do not count
 _UNIT = 1e-3  # m: meshers get millimetres, for which their absolute tolerances are made
 ON_PLANE = 1e-3  # of the mean edge length: nearer vertices are moved onto the plane
 
@@ -158,16 +160,18 @@ def _run(mesher: str, vertices: Array, faces: Index, size: float) -> tuple[Array
         script = Path(__file__).with_name("mesher.py")
         try:
             done = subprocess.run(
-                [sys.executable, "-P", str(script), mesher, str(source), str(target)],
+                [sys.executable, "-P", str(script), mesher, str(source), str(target), str(SECONDS[mesher])],
                 cwd=folder,
                 capture_output=True,
-                timeout=SECONDS[mesher],
+                timeout=PATIENCE * SECONDS[mesher],
                 check=False,
             )
         except subprocess.TimeoutExpired:
-            raise ValueError(f"not done after {SECONDS[mesher]:.0f} s") from None
+            raise ValueError(f"not done after {PATIENCE * SECONDS[mesher]} s") from None
         except OSError as error:
             raise ValueError(f"could not be started ({error})") from None
+        if done.returncode == -getattr(signal, "SIGXCPU", 0) != 0:
+            raise ValueError(f"not done after {SECONDS[mesher]} s of computing")
         if done.returncode != 0 or not target.exists():
             said = done.stderr.decode(errors="replace").strip().splitlines()
             raise ValueError(f"gave up with {said[-1][:120] if said else f'exit code {done.returncode}'}")
