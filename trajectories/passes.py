@@ -17,6 +17,7 @@ from trajectories.blade.surroundings import extents
 from trajectories.blade.window import Margins, Window, free_stretch, ground_window, obstacles
 
 MIN_WAYPOINTS = 20
+FELT = 2.5e-3  # m to either side; a usual contact bears two thirds of its force there
 MOST_LINES = 2000  # of a side: a blade of 2 m ground every millimetre
 MOST_WAYPOINTS = 500_000  # of all passes: at half a millimetre 250 m; every one is a stage of a nonlinear program
 
@@ -27,7 +28,7 @@ class BladePath:
 
     line: 1-based number of the line on the blade; side: "convex" | "concave" | "edge"; p, n, t (n, 3): contact points
     in m, outward unit normals, unit feed directions; s (n,) m arc length from the start; curvature (n, 3): k_tt, k_bb,
-    k_tb in 1/m with b = n x t, positive convex; extent (n, 4): distance in m along +t, -t, +b, -b over which the
+    k_tb in 1/m with b = n x t, positive convex, of `felt_along`; extent (n, 4): distance in m along +t, -t, +b, -b over which the
     surface goes on before it turns by more than 60 deg or ends; feed (n,) m/s and force
     (n,) N as programmed; start, rest m: how much of the line lies before this piece of it
     in its direction, and behind it, 0 of a whole line; before, after m: how much of the asked line lies before its start
@@ -68,7 +69,18 @@ class ContactFrames:
 
     def path(self, side: str, curvature: Array, extent: Array) -> BladePath:
         """The pass with what was found of the blade at its points."""
-        return BladePath(side=side, curvature=curvature, extent=extent, **vars(self))
+        return BladePath(side=side, curvature=felt_along(self.s, curvature), extent=extent, **vars(self))
+
+
+def felt_along(s: Array, curvature: Array) -> Array:
+    """Curvatures (n, 3) at arc lengths s (n,) m as a wheel feels them: their mean over FELT to either side, less near the ends.
+
+    On facets they jump within less than a contact's width; the indentation does not.
+    """
+    reach = np.minimum(FELT, np.minimum(s - s[0], s[-1] - s))[1:-1]
+    integral = CubicSpline(s, curvature).antiderivative()
+    means = (integral(s[1:-1] + reach) - integral(s[1:-1] - reach)) / (2.0 * reach)[:, None]
+    return np.vstack([curvature[:1], means, curvature[-1:]])
 
 
 @dataclass(frozen=True)

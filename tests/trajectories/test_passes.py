@@ -13,7 +13,7 @@ from robots.pose import rotation_from_abc
 from tests.support import blade_samples
 from trajectories.blade import Blade, find_shape, read_blade
 from trajectories.blade.window import GAP, free_stretch, obstacles
-from trajectories.passes import MIN_WAYPOINTS, PassOptions, passes, reversed_path
+from trajectories.passes import FELT, MIN_WAYPOINTS, PassOptions, felt_along, passes, reversed_path
 
 ROOT = Path(__file__).parents[2]
 
@@ -118,7 +118,8 @@ def test_the_reversed_pass_has_the_curvature_of_its_own_frame(sample):
     path = reversed_path(passes(*sample, PassOptions(side="convex"))[0][3])
     side = shape.sides["convex"]
     u, v = foot_parameters(side, shape, path.p)
-    np.testing.assert_allclose(curvature_in_frame(side.surface, u, v, path.n, path.t), path.curvature, rtol=1e-6, atol=1e-6)
+    own = felt_along(path.s, curvature_in_frame(side.surface, u, v, path.n, path.t))
+    np.testing.assert_allclose(own, path.curvature, rtol=1e-6, atol=1e-6)
 
 
 @given(st.lists(st.floats(-3.1, 3.1), min_size=3, max_size=3))
@@ -223,3 +224,15 @@ def test_the_wheel_keeps_its_gap_from_the_root_where_there_is_room(bundled):
     inside = (every > vs[0] - 1e-9) & (every < vs[-1] + 1e-9)
     assert not blocked[inside].any() and blocked[every < vs[0] - 1e-9].any()
     assert free_stretch(side, points, u, v, 1.0, 1.0) is None
+
+
+def test_a_wheel_feels_the_mean_curvature_of_facets_and_a_smooth_one_as_it_is():
+    s = np.sort(np.append(np.linspace(0.0, 0.09, 180), [0.0201, 0.0409]))
+    smooth = np.column_stack([5.0 + 40.0 * s, -3.0 * s, np.full(len(s), 2.0)])
+    assert felt_along(s, smooth) == pytest.approx(smooth, abs=1e-9)
+    facets = np.where(np.arange(len(s)) % 3 == 0, 30.0, 0.0)[:, None] * [1.0, 0.5, -0.2]  # a crease every 1.5 mm
+    felt = felt_along(s, smooth + facets)
+    inside = (s > FELT) & (s < s[-1] - FELT)
+    assert np.ptp((felt - smooth)[inside, 0]) < 0.35 * 30.0
+    bowl = np.column_stack([1e5 * (s - 0.045) ** 2] * 3)
+    assert (felt_along(s, bowl) - bowl)[inside] == pytest.approx(1e5 * FELT**2 / 3.0, rel=1e-6)
