@@ -18,7 +18,7 @@ say where they drove but not from where.
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -100,31 +100,31 @@ class ColumnMapping:
     columns: dict[str, MappedColumn] = field(default_factory=dict)
     zeros: dict[str, float] = field(default_factory=dict)
 
-    def header(self, path: Path, header: Sequence[str]) -> list[str]:
-        """Our names of what a file with this header holds: its columns that no table uses, then those that tables make. A table
-        whose columns the file lacks makes nothing. Raises BadInput: part of a table's columns is there."""
-        made = []
-        for name in self.columns:
-            sources = self.sources(name)
-            there = [s for s in sources if s in header]
-            if there and len(there) < len(sources):
-                lacking = ", ".join(s for s in sources if s not in header)
+    def of_file(self, path: Path, header: Sequence[str]) -> "ColumnMapping":
+        """What of it is for a file with this header: a table whose columns the file lacks makes nothing, and what the file has
+        under our name is taken as ours. Raises BadInput: part of a table's columns is there."""
+        made = {}
+        for name, column in self.columns.items():
+            sources = self.sources_of(name)
+            lacking = [s for s in sources if s not in header]
+            if lacking and len(lacking) < len(sources):
                 raise BadInput(
-                    f"{path}: column {shown(lacking)} is missing, which {self.path} makes {name} of; correct one of them"
+                    f"{path}: column {shown(', '.join(lacking))} is missing, which {self.path} makes {name} of; correct one of "
+                    "them"
                 )
-            if len(there) == len(sources):
-                made.append(name)
-        used = {s for name in made for s in self.sources(name)}
-        return [*(h for h in header if h not in used and h not in made), *made]
+            if not lacking:
+                made[name] = column
+        return replace(self, columns=made)
 
-    def sources(self, name: str) -> tuple[str, ...]:
-        """Their columns of which a column of ours is made."""
-        given = self.columns[name].source
-        return (name,) if given is None else given
+    def header(self, header: Sequence[str]) -> list[str]:
+        """Our names of what the file that it is for holds: its columns that no table uses, then those that tables make."""
+        used = {s for name in self.columns for s in self.sources_of(name)}
+        return [*(h for h in header if h not in used and h not in self.columns), *self.columns]
 
     def sources_of(self, name: str) -> tuple[str, ...]:
-        """The same, of a column that may be in no table: then it is its own."""
-        return self.sources(name) if name in self.columns else (name,)
+        """Their columns of which a column of ours is made; one that is in no table, or in one without `from`, is its own."""
+        given = self.columns[name].source if name in self.columns else None
+        return (name,) if given is None else given
 
     def values(self, name: str, theirs: Sequence[Array], n: int) -> Array:
         """A column (n,) of ours from theirs (n,) each."""

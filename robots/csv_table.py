@@ -104,7 +104,8 @@ def read_csv_table(
     """
     path = Path(path)
     theirs, rows, lines = _cells(path, needed, words, mapping)
-    header = mapping.header(path, theirs)
+    mapping = mapping.of_file(path, theirs)
+    header = mapping.header(theirs)
     known = [c for c in header if c in needed or c in optional]
     made = {c: mapping.sources_of(c) for c in known}
     for column in (source for sources in made.values() for source in sources):
@@ -185,8 +186,8 @@ def _cells(
                 continue
             if not header:
                 header = cells
-                _check_header(path, header, reader.line_num, needed, mapping)
-                words_first = any(header[0] in mapping.sources_of(word) for word in words)
+                of_file = _checked_header(path, header, reader.line_num, needed, mapping)
+                words_first = any(header[0] in of_file.sources_of(word) for word in words)
             elif len(cells) != len(header):
                 raise BadInput(
                     f"{path}, line {reader.line_num}: {len(cells)} values where the header names {len(header)} columns; "
@@ -239,18 +240,21 @@ def _check_bounds(path: Path, lines: list[int], column: str, values: Array, cell
         )
 
 
-def _check_header(path: Path, header: list[str], number: int, needed: Sequence[str], mapping: ColumnMapping) -> None:
+def _checked_header(path: Path, header: list[str], number: int, needed: Sequence[str], mapping: ColumnMapping) -> ColumnMapping:
+    """What of the mapping is for a file with this header. Raises BadInput: columns that are needed are missing."""
     for sign, name in ((",", "commas"), (";", "semicolons"), ("\t", "tabs")):
         if len(header) == 1 and sign in header[0]:
             what = "separate them by commas" if mapping is OURS else f"say so in {mapping.path} (separator)"
             raise BadInput(f"{path}, line {number}: values are separated by {name}; {what}")
-    ours = mapping.header(path, header)
+    of_file = mapping.of_file(path, header)
+    ours = of_file.header(header)
     missing = [column for column in needed if column not in ours]
     if missing:
         raise BadInput(
             f"{path}, line {number}: column{'s' if len(missing) > 1 else ''} {', '.join(missing)} missing; the header "
             f"reads '{shown(', '.join(header), 120)}'"
         )
+    return of_file
 
 
 def _number(path: Path, line: int, column: str, text: str) -> float:

@@ -102,6 +102,14 @@ def test_a_mapping_that_does_not_fit_is_refused(tmp_path, old, new, said):
             readings(tmp_path, MAPPING.replace(old, new))
 
 
+def test_a_file_of_ours_beside_theirs_keeps_its_columns(tmp_path):
+    (tmp_path / "m.toml").write_text('q1_deg = { from = "j1", unit = "rad" }\nrun = { from = "pass" }\n')
+    (tmp_path / "t.csv").write_text("run,q1_deg\nA,90\n")
+    mapping = read_column_mapping(tmp_path / "m.toml")
+    table = read_csv_table(tmp_path / "t.csv", ("run", "q1_deg"), words=("run",), mapping=mapping)
+    assert list(table.numbers["q1_deg"]) == [90.0] and table.words["run"] == ["A"] and not table.ignored
+
+
 def test_speeds_may_be_told_by_the_minute_and_a_belt_of_metres_a_minute_is_no_belt(tmp_path):
     units = {"belt_m_s": "m/min", "feed_mm_s": "m/min", "qd1_deg_s": "rev/min", "qd2_deg_s": "rpm"}
     (tmp_path / "m.toml").write_text(
