@@ -138,8 +138,15 @@ def _numbers(
 ) -> Array:
     """Cells as numbers (n,), `holes`: empty ones as nan; `dates`: as seconds of dates in that form. Raises BadInput."""
     if not dates:
-        signs = [cell.replace(mapping.decimal, ".") if mapping.decimal != "." else cell for cell in cells]
-        pairs = zip(lines, signs, strict=True)
+        pairs = list(zip(lines, cells, strict=True))
+        if mapping.decimal != ".":
+            for n, cell in pairs:
+                if "." in cell:
+                    raise BadInput(
+                        f"{path}, line {n}, column {column}: '{shown(cell)}' has a point where {mapping.path} says decimal = "
+                        f"'{mapping.decimal}'; take points between thousands out, or correct decimal"
+                    )
+            pairs = [(n, cell.replace(mapping.decimal, ".")) for n, cell in pairs]
         return np.array([np.nan if holes and not cell else _number(path, n, column, cell) for n, cell in pairs])
     found = []
     for n, cell in zip(lines, cells, strict=True):

@@ -110,6 +110,11 @@ def test_a_file_of_ours_beside_theirs_keeps_its_columns(tmp_path):
     assert list(table.numbers["q1_deg"]) == [90.0] and table.words["run"] == ["A"] and not table.ignored
 
 
+def test_a_point_between_thousands_is_no_decimal_sign(tmp_path):
+    with pytest.raises(BadInput, match=r"line 3, column pz: '3.500' has a point where .*m.toml says decimal = ','; take"):
+        readings(tmp_path, rows=[ROWS[0], ROWS[1].replace(";3,5;", ";3.500;")])
+
+
 def test_speeds_may_be_told_by_the_minute_and_a_belt_of_metres_a_minute_is_no_belt(tmp_path):
     units = {"belt_m_s": "m/min", "feed_mm_s": "m/min", "qd1_deg_s": "rev/min", "qd2_deg_s": "rpm"}
     (tmp_path / "m.toml").write_text(
