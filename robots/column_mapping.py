@@ -68,6 +68,11 @@ class MappedColumn(TomlTable):
     sign: tuple[float, ...] = (1.0,)
     offset: float = Field(default=0.0, ge=-1e9, le=1e9)
 
+    @property
+    def signs(self) -> tuple[float, ...]:
+        """One for each of their columns."""
+        return self.sign if self.source is None or len(self.sign) > 1 else self.sign * len(self.source)
+
     @field_validator("source", "sign", mode="before")
     @classmethod
     def _listed(cls, value: Any) -> Any:
@@ -130,8 +135,7 @@ class ColumnMapping:
         """A column (n,) of ours from theirs (n,) each."""
         column = self.columns[name]
         unit = column.unit or ""
-        signs = column.sign * len(theirs) if len(column.sign) == 1 else column.sign
-        total: Array = sum((s * v for s, v in zip(signs, theirs, strict=True)), np.zeros(n))
+        total: Array = sum((s * v for s, v in zip(column.signs, theirs, strict=True)), np.zeros(n))
         if unit in STEPS:
             step = STEPS[unit] * np.diff(total, prepend=total[:1])
             return np.where(np.abs(step) > MOVED, np.sign(step), 0.0)
@@ -176,6 +180,7 @@ def read_column_mapping(path: str | Path) -> ColumnMapping:
     columns = {name: _checked(path, name, MappedColumn, table) for name, table in tables.items()}
     for name, column in columns.items():
         _check_column(path, name, column)
+    _check_steps(path, columns)
     return ColumnMapping(path, head.separator, head.decimal, head.rotation, columns)
 
 
@@ -206,6 +211,20 @@ def _check_column(path: Path, name: str, column: MappedColumn) -> None:
         raise BadInput(f"{path}: {name}.unit = '{shown(column.unit)}' is no unit of {name}; {known}")
     if dated and (column.offset or column.sign != (1.0,)):
         raise BadInput(f"{path}: {name} is of dates, which have no sign and no offset; leave these keys out")
+
+
+def _check_steps(path: Path, columns: dict[str, MappedColumn]) -> None:
+    """Raises BadInput: the steps of an axis are taken from the columns of its angle, in another unit or sense of turn."""
+    for k in range(1, 7):
+        step, angle = columns.get(f"{APPROACH}{k}"), columns.get(f"q{k}_deg")
+        if step is None or angle is None or step.unit not in STEPS or step.source != angle.source:
+            continue
+        unit = angle.unit or "deg"
+        if (f"step_{unit}" in STEPS and step.unit != f"step_{unit}") or step.signs != angle.signs:
+            raise BadInput(
+                f"{path}: {APPROACH}{k} is of the columns of q{k}_deg, but not in its unit ({unit}) and sign "
+                f"({', '.join(f'{sign:g}' for sign in angle.sign)}); a motion has those of its axis: correct {APPROACH}{k}"
+            )
 
 
 def _is_date_form(form: str) -> bool:

@@ -51,7 +51,7 @@ def test_a_table_made_by_others_is_read_as_ours(tmp_path):
 
 
 def test_the_sign_of_a_step_is_that_of_the_last_motion(tmp_path):
-    more = "".join(f'approach{k} = {{ from = "j{k}", unit = "step_rad" }}\n' for k in range(2, 7))
+    more = "".join(f'approach{k} = {{ from = "j{k}", unit = "step_rad", sign = {-1 if k == 2 else 1} }}\n' for k in range(2, 7))
     signs = readings(tmp_path, MAPPING + more).approach
     assert signs.tolist() == [[0] * 6, [1, 0, 0, 0, 0, 0]]
 
@@ -80,6 +80,8 @@ def test_the_default_order_is_that_of_the_contract():
         ("sign = [1, -1]", "sign = [1]", None),
         ("sign = [1, -1]", "sign = [1, -1, 1]", "x_mm.sign has 3 signs for 2 columns"),
         ("sign = -1", "sign = -2", "sign must be 1 or -1"),
+        ('"step_rad"', '"step_deg"', r"approach1 is of the columns of q1_deg, but not in its unit \(rad\) and sign \(1\)"),
+        ('"step_rad"', '"step_rad", sign = -1', "a motion has those of its axis: correct approach1"),
         ('decimal = ","', 'decimal = ";"', "decimal = ';' must be a point or a comma"),
         ('separator = ";"', 'separator = "#"', "separator = '#' is none of"),
         ('separator = ";"', "", "decimal = ',' must be a point or a comma, another sign than separator"),

@@ -327,10 +327,9 @@ def _summary() -> bytes:
 def _mapped() -> dict[str, bytes]:
     """A table made by others: blanks of their units, semicolons, decimal commas, dates."""
     joints = ";".join(f"j{i}" for i in range(1, 7))
-    moves = "".join(
-        f'q{i}_deg = {{ from = "j{i}", unit = "rad", sign = {-1 if i == 2 else 1}, offset = 0.5 }}\n' for i in range(1, 7)
-    )
-    moves += "".join(f'approach{i} = {{ from = "j{i}", unit = "step_rad" }}\n' for i in range(1, 7))
+    turned = {i: f'from = "j{i}", sign = {-1 if i == 2 else 1}' for i in range(1, 7)}
+    moves = "".join(f'q{i}_deg = {{ {theirs}, unit = "rad", offset = 0.5 }}\n' for i, theirs in turned.items())
+    moves += "".join(f'approach{i} = {{ {theirs}, unit = "step_rad" }}\n' for i, theirs in turned.items())
     places = "".join(f'{axis}_mm = {{ from = ["m{axis}", "d{axis}"], unit = "m" }}\n' for axis in "xyz")
     when = 'time_s = { from = "stamp", unit = "%Y%m%d%H%M%S" }\ntemperature_C = { from = "air", unit = "K" }\n'
     rows = [
