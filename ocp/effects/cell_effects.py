@@ -16,7 +16,7 @@ import numpy as np
 
 from ocp.effects.catalogue import library
 from ocp.effects.effect import Active, Effect, Parameter, effect_named
-from ocp.effects.patch import patch_of
+from ocp.effects.patch import PATCH, patch_of
 from ocp.shell.cache import OWN_EFFECTS
 from robots.errors import shown
 from robots.pose import Array
@@ -40,6 +40,11 @@ class CellEffect:
     def active(self) -> Active:
         """With the effect of the library."""
         return Active(effect_named(self.name), self.joint, self.a, self.scanned, self.covariance)
+
+    @property
+    def word(self) -> str:
+        """As a cell's file calls it."""
+        return self.active.effect.title if self.name.startswith(PATCH) else self.name
 
 
 def effect_of(table: Mapping[str, Any]) -> CellEffect:

@@ -33,6 +33,10 @@ RESTS_ON: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
 """Keys of a cell's table, and the parameters that rest on them; `payload`: what hangs on the flange while grinding."""
 
 
+SUBSYSTEMS = {"wheel": ("wheel",), "workpiece": ("blade", "tool"), "force_flange": ("flange",), "payload": ("payload",)}
+"""Of effects that come on top of a table's numbers."""
+
+
 def made_for(calibration: Calibration, tables: CellTables, robot: Robot) -> Calibration:
     """The calibration with the numbers of the cell and its robot in its provenance, as it is written."""
     return replace(calibration, provenance=calibration.provenance | {KEY: _numbers(tables) | {ARM: _arm(robot)}})
@@ -52,7 +56,8 @@ def held_in(calibration: Calibration, tables: CellTables, robot: Robot, file: Pa
     for table, (_, names) in RESTS_ON.items():
         then = told.get(table)
         lost = [name for name in names if name in calibration.names]
-        if not lost or not isinstance(then, dict):
+        added = ", ".join(e.word for e in tables.believed if e.active.effect.subsystem in SUBSYSTEMS[table])
+        if not (lost or added) or not isinstance(then, dict):
             continue
         if changed := _changed(now.get(table, {}), then):
             key, at = changed[0], f"payloads.{tables.hanging}" if table == "payload" else table
@@ -62,12 +67,16 @@ def held_in(calibration: Calibration, tables: CellTables, robot: Robot, file: Pa
         else:
             continue
         gone |= set(lost)
-        notices.append(
-            f"{file.name}: {what}: what it knew of {', '.join(lost)} is not used, the cell's own numbers are, as surely as it "
-            "gives them; calibrate with this one"
-        )
-    if not gone:
-        return calibration
+        if lost:
+            notices.append(
+                f"{file.name}: {what}: what it knew of {', '.join(lost)} is not used, the cell's own numbers are, as surely as "
+                "it gives them; calibrate with this one"
+            )
+        if added:
+            notices.append(
+                f"{file.name}: {what}: still on top of that come the cell's effects {added}; take out those that the new number "
+                "has in it"
+            )
     kept = [i for i, name in enumerate(calibration.names) if name not in gone]
     return replace(
         calibration,

@@ -72,6 +72,20 @@ def test_what_rests_on_a_table_that_is_gone_is_not_used(tmp_path):
     assert "there is no force_flange, the calibration was made with one" in cell.calibration.notices[0]
 
 
+def test_effects_that_come_on_top_of_an_edited_number_are_told(tmp_path):
+    """A load that was found two kilograms heavier, and then weighed, was two kilograms heavier still, without a word."""
+    text, _ = calibrated(tmp_path)
+    text += '[[effects]]\neffect = "payload_mass"\nkg = 2.0\npayload = "grinder"\n'
+    text += '[[effects]]\neffect = "backlash"\njoint = 2\nhalf_width_rad = 1e-4\n'
+    (tmp_path / "cell.toml").write_text(text)
+    assert not read_cell(tmp_path / "cell.toml").calibration.notices
+    (tmp_path / "cell.toml").write_text(text.replace("mass_kg = 25.0", "mass_kg = 27.0"))
+    _, told = read_cell(tmp_path / "cell.toml").calibration.notices
+    assert "mass_kg is 27, the calibration was made with 25: still on top of that come the cell's effects payload_mass;" in told
+    (tmp_path / "cell.toml").write_text(text.replace("radius_mm = 40.0", "radius_mm = 45.0"))
+    assert len(read_cell(tmp_path / "cell.toml").calibration.notices) == 1
+
+
 def test_what_was_calibrated_is_not_told_as_unmeasured(tmp_path):
     """It told the default spreads as believed beside a calibration that knows better."""
     text, _ = calibrated(tmp_path)
