@@ -20,6 +20,7 @@ BENDING = "bending_joints"  # of the provenance
 _TABLES = ("parameters", "not_identified", "provenance")
 LARGEST = 1e12  # of a value or its standard deviation in SI: the stiffest spring has 1e9 N/m
 LEAST_SD = 1e-25  # a compliance of 1e-12 rad/(N m)^3 is known to six digits or so
+SAME = 1e-6  # relative, of a number that stands in both files
 MOST_ARCHIVE = 20 * MEGABYTE  # a covariance of all parameters has 1 MB
 _LIST = "robots/calibration/parameters.py"  # of the names that exist
 # Most negative eigenvalue of the correlation matrix that rounding explains.
@@ -82,7 +83,8 @@ def write_calibration(path: str | Path, calibration: Calibration) -> None:
     _check_reasons(str(path), calibration.not_identified)
     archive = path.with_suffix(".npz")
     names = np.array(calibration.names, dtype=np.str_)
-    np.savez(archive, names=names, covariance=np.asarray(calibration.covariance, float))
+    values, covariance = (np.asarray(part, float) for part in (calibration.values, calibration.covariance))
+    np.savez(archive, names=names, values=values, covariance=covariance)
     parameters = {}
     rows = zip(calibration.names, calibration.values, calibration.standard_deviation, strict=True)
     for name, value, sd in rows:
@@ -104,13 +106,13 @@ def read_calibration(path: str | Path) -> Calibration:
     """Read a calibration; where its .npz is missing the covariance is diagonal and a notice says so.
 
     Raises BadInput: file unreadable or malformed, unknown parameter, wrong unit, number not finite, the .npz
-    is not the one that was written with the .toml, covariance not positive semidefinite or at odds with the
-    standard deviations.
+    is not the one that was written with the .toml, covariance not positive semidefinite, its values or standard deviations
+    at odds with the .toml's.
     """
     path = Path(path)
     data = _read_toml(path)
     names, values, sd = _parameters(path, data)
-    covariance, notices = _covariance(path, data, names, sd)
+    covariance, notices = _covariance(path, data, names, values, sd)
     _check(str(path), data["robot"], names, values, covariance)
     not_identified = _table(path, data, "not_identified")
     _check_reasons(str(path), not_identified)
@@ -176,7 +178,9 @@ def _number(path: Path, name: str, entry: dict[str, Any], key: str, low: float) 
     return float(value)
 
 
-def _covariance(path: Path, data: dict[str, Any], names: tuple[str, ...], sd: Array) -> tuple[Array, tuple[str, ...]]:
+def _covariance(
+    path: Path, data: dict[str, Any], names: tuple[str, ...], values: Array, sd: Array
+) -> tuple[Array, tuple[str, ...]]:
     """Covariance (m, m) and notices."""
     file = data.get("covariance_file", path.with_suffix(".npz").name)
     if not isinstance(file, str) or Path(file).name != file:
@@ -203,20 +207,26 @@ def _covariance(path: Path, data: dict[str, Any], names: tuple[str, ...], sd: Ar
                 raise ValueError(f"{size} bytes unpacked")
         with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
             stored, covariance = tuple(arrays["names"].tolist()), np.asarray(arrays["covariance"], float)
+            about = np.asarray(arrays["values"], float) if "values" in arrays else None  # earlier versions wrote none
     except Exception as error:  # zip, header and pickle faults have no common class
         raise BadInput(f"{archive}: not a covariance archive ({shown(error, 80)}); calibrate again") from None
-    if set(stored) != set(names) or covariance.shape != (len(stored), len(stored)):
+    count = len(stored)
+    if set(stored) != set(names) or covariance.shape != (count, count) or (about is not None and about.shape != (count,)):
         odd = shown(", ".join(sorted(map(str, set(stored) ^ set(names)))), 80) or "shape"
         raise BadInput(f"{archive}: parameters do not match {path.name} ({odd}); restore the pair of files")
     order = [stored.index(name) for name in names]
     covariance = covariance[np.ix_(order, order)]
-    diagonal = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    bad = np.abs(diagonal - sd) > 1e-6 * np.maximum(diagonal, sd)
-    if bad.any():
-        i = int(np.argmax(bad))
-        raise BadInput(
-            f"{path}: parameters.{names[i]}.sd = {sd[i]:g}, the covariance in {file} has {diagonal[i]:g}; do not edit one alone"
-        )
+    numbers = {"sd": (sd, np.sqrt(np.maximum(np.diag(covariance), 0.0)))}
+    if about is not None:
+        numbers["value"] = values, about[order]
+    for key, (here, there) in numbers.items():
+        bad = np.abs(there - here) > SAME * np.maximum(np.abs(there), np.abs(here))
+        if bad.any():
+            i = int(np.argmax(bad))
+            raise BadInput(
+                f"{path}: parameters.{names[i]}.{key} = {here[i]:g}, {file} has {there[i]:g}; do not edit one alone: restore "
+                "the file, or calibrate again"
+            )
     return covariance, ()
 
 

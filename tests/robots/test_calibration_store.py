@@ -109,6 +109,11 @@ def test_the_name_list_is_complete_and_in_the_order_of_the_table():
         ("sd = ", "sd = -", r"parameters\.a1\.sd = -"),
         ("value = ", "value = nan # ", r"parameters\.a1\.value = nan"),
         ("sd = ", "sd = 2 # ", r"parameters\.a1\.sd = 2,.*do not edit"),
+        (
+            "value = ",
+            "value = -5 # ",
+            r"parameters\.a1\.value = -5, calibration\.npz has .*do not edit one alone: restore the file",
+        ),
         ("schema = 1", "schema = 2", "schema = 2"),
         ('robot = "kr210_r2700_extra"', "", "'robot' must name"),
         ('covariance_file = "calibration.npz"', 'covariance_file = "../x.npz"', "beside this file"),
@@ -124,6 +129,14 @@ def test_damaged_text_is_refused(tmp_path, old, new, told):
     path.write_text(text.replace(old, new, 1))
     with pytest.raises(BadInput, match=told):
         read_calibration(path)
+
+
+def test_an_archive_of_before_values_stood_in_it_is_read(tmp_path):
+    path, before = tmp_path / "calibration.toml", example()
+    write_calibration(path, before)
+    without_hash(path)
+    np.savez(tmp_path / "calibration.npz", names=np.array(before.names), covariance=before.covariance)
+    assert np.array_equal(read_calibration(path).values, before.values)
 
 
 def test_an_archive_of_another_calibration_is_refused(tmp_path):
