@@ -21,7 +21,7 @@ from ocp.report.section import Section
 from ocp.shell.cache import sha256
 from ocp.shell.output import Output, reserved
 from ocp.shell.progress import Phases, Progress
-from robots.calibration.carried import carried_over
+from robots.calibration.carried import FORCE, carried_over
 from robots.calibration.parameters import SYMBOLS
 from robots.calibration.store import BENDING, Calibration, write_calibration
 from robots.calibration.student_t import GROSS
@@ -162,26 +162,24 @@ def write_tracker_calibration(
                 _write_predictions(made, folder / "predictions_tracker.csv")
         with phases.phase("report"):
             write_calibration_report(made, folder, {path.name: sha256(path) for path in inputs}, extra)
-    return CalibrationResult(out, made, calibration, last_line(made, out, calibration))
+    return CalibrationResult(out, made, calibration, last_line(made, out, _contact(calibration) if extra else ""))
 
 
-def last_line(made: TrackerCalibration, out: Path, calibration: Calibration) -> str:
-    """What was written, how good it is, whether it is safe to use."""
+def last_line(made: TrackerCalibration, out: Path, contact: str) -> str:
+    """What was written, how good it is, whether it is safe to use; contact: what a force log brought."""
     n, found = len(made.fit.campaign.readings), made.identifiability
     errors, before = made.methods.error[made.method], made.methods.before
     return (
         f"{out}: {n} readings by method {made.method}, {found.rank} of the robot's {found.parameters} parameters seen; left-out "
         f"readings are met within {1e3 * errors.mean():.3f} mm on average, {1e3 * errors.max():.3f} mm at most (before: "
-        f"{1e3 * before.mean():.3f} and {1e3 * before.max():.3f}). {_contact(calibration)}{_use(made, out)}; "
+        f"{1e3 * before.mean():.3f} and {1e3 * before.max():.3f}). {contact}{_use(made, out)}; "
         f"{out / 'report.html'} says what was not seen."
     )
 
 
 def _contact(calibration: Calibration) -> str:
-    """What the force log brought, if there was one."""
-    figures = calibration.provenance.get("force")
-    if not isinstance(figures, dict):
-        return ""
+    """What the force log brought."""
+    figures = calibration.provenance[FORCE]
     return f"The force log is met within {figures['rms_after']:.2f} N rms (before: {figures['rms_before']:.2f}). "
 
 

@@ -24,7 +24,7 @@ from ocp.effects.effect import Active, scan_key
 from ocp.effects.patch import patch_table
 from ocp.model.calibrated_for import made_for
 from ocp.model.cell import cell_tables_for
-from robots.calibration.carried import carried_over
+from robots.calibration.carried import FORCE, carried_over
 from robots.calibration.store import BENDING, Calibration, write_calibration
 from robots.pose import Array
 from robots.toml_files import toml_text
@@ -118,14 +118,15 @@ def calibration_of(channels: Mapping[str, Channel], data: DataSet) -> Calibratio
 def _of_contact(channel: Channel, data: DataSet) -> Calibration:
     """Arm, wheel, blade frame and stiffnesses as the force log and the arm's prior leave them, with their joint covariance."""
     from ocp.calibrate.force.fit import FIT_NAMES, covariance_left
+    from ocp.calibrate.force.registration import told_of
     from ocp.diagnose.force.channel import ForceChannel  # blade and contact: only for those who measured force
 
     assert isinstance(channel, ForceChannel)
     believed, fit = channel.problem.believed, channel.fit
     covariance = covariance_left(believed.root, fit.information)
     known = [i for i in range(len(FIT_NAMES)) if covariance[i, i] > 0]
-    bending = list(channel.problem.scene.cell.compliant_joints)
-    provenance: dict[str, Any] = _provenance(channel) | {"rows": len(channel.log), BENDING: bending}
+    provenance: dict[str, Any] = _provenance(channel) | {"rows": len(channel.log), FORCE: told_of(channel.log)}
+    provenance[BENDING] = list(channel.problem.scene.cell.compliant_joints)
     if believed.joint_noise is not None:
         provenance["noise"] = {"joints_rad": believed.joint_noise}
     return Calibration(
@@ -145,6 +146,5 @@ def _provenance(channel: Channel) -> dict[str, Any]:
 def _of_arm(channel: Channel, data: DataSet) -> Calibration:
     """Geometry, springs and the base in the tracker, with their joint covariance."""
     assert isinstance(channel, TrackerChannel)
-    readings = channel.readings
-    told, station = _provenance(channel) | {"readings": len(readings)}, int(np.unique(readings.station)[0])
+    told, station = _provenance(channel) | {"readings": len(channel.readings)}, int(np.unique(channel.readings.station)[0])
     return posterior_of(data.setup.robot.name, channel.task.layout, channel.fit, station, told)

@@ -10,11 +10,11 @@ import numpy as np
 from ocp.calibrate.force.log import ForceLog
 from ocp.calibrate.force.rows import log_conditions
 from ocp.model.cell import Cell
+from robots.calibration.carried import UPDATE
 from robots.calibration.store import Calibration
 from robots.errors import BadInput, shown
 from robots.pose import Array
 
-KEY = "update"  # of a calibration's provenance
 MOST = 2000  # updates that are remembered: a year of eight a working day
 LARGEST = 1e12
 ENTRIES = (
@@ -51,7 +51,7 @@ class History:
 
 def history_of(calibration: Calibration | None, path: Path) -> History:
     """What the calibration of the cell `path` remembers. Raises BadInput: it was edited into something else."""
-    told = None if calibration is None else calibration.provenance.get(KEY)
+    told = None if calibration is None else calibration.provenance.get(UPDATE)
     if told is None:
         return History()
     table = told if isinstance(told, dict) else {}
@@ -64,8 +64,8 @@ def history_of(calibration: Calibration | None, path: Path) -> History:
     numbers = [*clocks, *(x for values in read.values() if isinstance(values, list) for x in values)]
     if not sound or not all(is_number(x) for x in numbers) or any(x != x for x in clocks):
         raise BadInput(
-            f"{path}: its calibration's [provenance.{KEY}] is not as ocp.update wrote it ({shown(repr(told), 60)}); restore the "
-            "file, or take that table out to begin a new history"
+            f"{path}: its calibration's [provenance.{UPDATE}] is not as ocp.update wrote it ({shown(repr(told), 60)}); restore "
+            "the file, or take that table out to begin a new history"
         )
     whole = {name: tuple(float(x) for x in values) for name, values in read.items() if values is not None}
     assert isinstance(logs, list)

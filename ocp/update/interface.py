@@ -40,6 +40,7 @@ from ocp.update.drift import (
 from ocp.update.history import History, history_of, is_number, running_time, usual_way
 from ocp.update.pattern import PatternFit, fit_pattern, ground_log
 from ocp.update.removal import UNIT, MeasuredDepths, Preston, joined_preston, less_sure, on_blade, read_removal
+from robots.calibration.carried import FORCE, UPDATE
 from robots.calibration.store import Calibration, write_calibration
 from robots.errors import BadInput, Infeasible, shown
 from robots.toml_files import toml_text
@@ -253,7 +254,7 @@ def updated(
     coming = carried_on(found, ahead - now, grips=1)
     entry = _entry(fit, clock[kept], expected, found, preston)
     grown_history = history.grown((float(clock.max()), ahead, wheel.offset), mark, entry)
-    coming = replace(coming, provenance=coming.provenance | {"update": grown_history.table()})
+    coming = replace(coming, provenance=coming.provenance | {UPDATE: grown_history.table()})
     moments, states = (now, ahead), (before, expected, found, coming)
     notices = (*wheel.notices, *_unusual(log, fit, verdict, parts), *grown(log, found))
     return Updated(cell, fit.log, fit, verdict, parts, moments, states, grown_history, preston, told, notices)
@@ -276,7 +277,7 @@ def _made_from(calibration: Calibration | None, file: Path) -> bool:
 
 def _force_told(calibration: Calibration | None) -> dict[str, Any]:
     """What a calibration tells of its force log; nothing where it was edited into something else."""
-    told = None if calibration is None else calibration.provenance.get("force")
+    told = None if calibration is None else calibration.provenance.get(FORCE)
     return told if isinstance(told, dict) else {}
 
 

@@ -7,10 +7,14 @@ import numpy as np
 
 from robots.calibration.store import Calibration
 
+FORCE, UPDATE = "force", "update"
+"""Of a provenance: by which logs wheel and blade were found, and when they hold."""
+
 
 def carried_over(found: Calibration, known: Calibration | None) -> Calibration:
     """`found` with the parameters of `known` that it lacks, carried along by their regression on those that both have: where an
-    axis' zero came out otherwise, a wheel that was found by that arm moves with it. Covariances are joint ones."""
+    axis' zero came out otherwise, a wheel that was found by that arm moves with it. Covariances are joint ones. What `known`
+    tells of its force logs goes with the wheel, where `found` has none of its own."""
     rest = [] if known is None else [i for i, name in enumerate(known.names) if name not in found.names]
     if known is None or not rest:
         return found
@@ -25,4 +29,6 @@ def carried_over(found: Calibration, known: Calibration | None) -> Calibration:
     own = C[np.ix_(rest, rest)] - slope @ (C[np.ix_(old, old)] - found.covariance[np.ix_(new, new)]) @ slope.T
     whole = np.block([[found.covariance, cross.T], [cross, 0.5 * (own + own.T)]])
     names = (*found.names, *(known.names[i] for i in rest))
-    return replace(found, names=names, values=np.concatenate([found.values, moved]), covariance=whole)
+    logs = {} if FORCE in found.provenance else {k: known.provenance[k] for k in (FORCE, UPDATE) if k in known.provenance}
+    values, provenance = np.concatenate([found.values, moved]), found.provenance | logs
+    return replace(found, names=names, values=values, covariance=whole, provenance=provenance)

@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 from ocp.calibrate.force.fit import FIT_NAMES
+from ocp.calibrate.force.log import is_known, log_mark
 from ocp.diagnose.answering import channels_of, tracker_channel
+from ocp.diagnose.corrected import calibration_of
 from ocp.diagnose.dataset import read_data_set
 from ocp.diagnose.force.channel import ForceChannel, force_channel
 from ocp.diagnose.force.prior import arm_with_effects, contact_prior
@@ -64,6 +66,14 @@ def test_what_an_encoder_explains_is_not_in_the_arm_twice(channels, tmp_path):
     arm = arm_with_effects(tracker_channel(sound), ())
     bent = replace(arm, provenance=arm.provenance | {"bending_joints": [2, 3, 5]})
     assert force_channel(sound.cell, sound.log, arm=bent).problem.scene.cell.compliant_joints == (2, 3, 5)
+
+
+def test_a_corrected_cell_remembers_the_log_that_it_was_made_from(channels):
+    """An update took it a second time, and was twice as sure."""
+    readings, off = channels
+    data = read_data_set(off.log.path.parent)
+    told = calibration_of({"tracker": readings, "force": off}, data).provenance["force"]
+    assert is_known(log_mark(data.log), [told["recordings"]]) and told["clock_s"] == data.log.clock.max()
 
 
 def test_what_the_readings_tell_is_told_beside_a_log_that_no_name_fits(channels, monkeypatch):

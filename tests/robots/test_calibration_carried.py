@@ -25,6 +25,16 @@ def test_what_was_found_by_an_arm_moves_with_it():
     assert np.allclose(both.covariance, np.cov(sample.T), atol=0.02 * np.abs(both.covariance).max())
 
 
+def test_the_logs_that_the_rest_was_found_by_go_with_it():
+    """Without them the next update took a log a second time, and forgot how long the wheel had run."""
+    logs = {"force": {"recordings": "a"}, "update": {"logs": ["b"]}}
+    old = Calibration("r", ("d1", "wheel_x"), np.zeros(2), np.eye(2), {"method": "full"} | logs)
+    new = Calibration("r", ("d1",), np.zeros(1), np.eye(1), {"method": "geometry"})
+    assert carried_over(new, old).provenance == {"method": "geometry"} | logs
+    own = Calibration("r", ("d1",), np.zeros(1), np.eye(1), {"force": {"recordings": "c"}})
+    assert carried_over(own, old).provenance == own.provenance
+
+
 def test_nothing_is_taken_over_where_nothing_is_missing():
     new = Calibration("r", ("d1",), np.zeros(1), np.eye(1))
     assert carried_over(new, None) is new and carried_over(new, Calibration("r", ("d1",), np.ones(1), np.eye(1))) is new

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from ocp.calibrate.force.log import Flags, ForceLog, log_mark, refuse_few_rows
 from ocp.calibrate.force.noise import GROSS
 from ocp.calibrate.force.rows import ForceSetup, prepare_force
 from ocp.model.cell import Cell
-from robots.calibration.carried import carried_over
+from robots.calibration.carried import FORCE, carried_over
 from robots.calibration.parameters import MDH_NAMES
 from robots.calibration.store import Calibration
 from robots.errors import Infeasible
@@ -94,13 +95,16 @@ class ForceFit:
         cell = self.setup.model.cell
         reasons = self.not_identified if robot is None else robot.not_identified | self.not_identified
         provenance = {} if robot is None else dict(robot.provenance)
-        known = provenance.get("force", {})  # an update's log is in its history: what the first was made from stays
+        known = provenance.get(FORCE, {})  # an update's log is in its history: what the first was made from stays
         kept = known.get(RECORDINGS) if isinstance(known, dict) else None
-        provenance["force"] = {**vars(self.figures), RECORDINGS: kept or log_mark(self.log)}
-        if self.log.clock is not None:
-            provenance["force"]["clock_s"] = float(self.log.clock.max())
+        provenance[FORCE] = {**vars(self.figures), **told_of(self.log)} | ({RECORDINGS: kept} if kept else {})
         own = Calibration(cell.robot.name, self.names, self.values, self.covariance, provenance, reasons, self.notices)
         return carried_over(own, robot)
+
+
+def told_of(log: ForceLog) -> dict[str, Any]:
+    """What a calibration remembers of its log: how its recordings are told again, and its last clock s."""
+    return {RECORDINGS: log_mark(log)} | ({} if log.clock is None else {"clock_s": float(log.clock.max())})
 
 
 def fit_force(cell: Cell, log: ForceLog, robot: Calibration | None = None, setup: ForceSetup | None = None) -> ForceFit:
