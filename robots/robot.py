@@ -4,6 +4,7 @@ First the keys of that file as users write them (millimetres, degrees, kilograms
 """
 
 import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal
@@ -225,7 +226,7 @@ LEAVES = {
     "links": "what the arm's own weight bends is not seen, and nothing is planned or rehearsed",
     "links.inertia_kg_m2": "torques of motion are not known, so nothing is planned or rehearsed",
     "stiffness": "the joints are taken as rigid until readings say otherwise",
-    "shape": "no collision of the arm is seen, so nothing is planned or rehearsed",
+    "shape": "no collision of the arm is seen, so no program is written or rehearsed",
 }
 MOVES = ("limits.acceleration_deg_s2", "limits.torque_Nm", "links", "links.inertia_kg_m2", "shape")
 CATALOGUE = Path(__file__).parent / "catalogue"
@@ -303,9 +304,9 @@ def left_out_notices(robot: Robot) -> list[str]:
     return [f"robot '{robot.name}' gives no {key}: {LEAVES[key]}" for key in robot.left_out]
 
 
-def refuse_left_out(cell_file: Path, robot: Robot, what: str) -> None:
+def refuse_left_out(cell_file: Path, robot: Robot, what: str, needed: Sequence[str] = MOVES) -> None:
     """Raises BadInput where the robot file that a cell names leaves out what a motion needs; what: who needs it."""
-    missing = [key for key in robot.left_out if key in MOVES]
+    missing = [key for key in robot.left_out if key in needed]
     if missing:
         raise BadInput(
             f"{cell_file}, robot.model: the file of robot '{robot.name}' leaves out {', '.join(missing)}, and {what} needs "

@@ -34,7 +34,7 @@ from robots.errors import BadInput, Infeasible
 from robots.kinematics import link_frames
 from robots.payload import refuse_overload
 from robots.pose import Array, apply, invert, transform_from_xyzabc
-from robots.robot import left_out_notices
+from robots.robot import left_out_notices, refuse_left_out
 from robots.tracker_readings import Index, Nest, Readings, planned_readings
 from trajectories.program.program import Wait
 
@@ -230,6 +230,7 @@ class PosePlan:
 def make_poses(cell_file: Path, options: PoseOptions, phases: Phases) -> PosePlan:
     """Choose poses for a cell. Raises BadInput and Infeasible, one sentence each."""
     cell, setup = read_cell(cell_file), read_tracker_setup(cell_file)
+    refuse_left_out(cell_file, cell.robot, "a program of poses, which is to touch nothing,", ("shape",))
     nests = chosen_targets(setup, options.targets)
     payloads, notices = chosen_payloads(setup, options.payloads)
     notices += refuse_overload(str(cell_file), cell.robot, {name: setup.payloads[name] for name in payloads})

@@ -21,6 +21,7 @@ from ocp.plan.paths import refuse_flange
 from ocp.poses.__main__ import app
 from ocp.poses.candidates import Sight, ground_blade, visible
 from robots.errors import BadInput
+from robots.robot import CATALOGUE
 from robots.tracker_readings import read_readings
 from tests.support.browser import CHROMIUM, looked_at
 from tests.support.formats import told_keys
@@ -274,4 +275,14 @@ def test_cells_in_which_nothing_can_be_measured_are_refused(tmp_path, changes, c
     cell = written_cell(tmp_path / "cell", **changes)
     found, out, err = told("--cell", str(cell), "--out", str(tmp_path / "p"))
     assert (found, out) == (code, "") and part in err, err
+    assert not (tmp_path / "p").exists()
+
+
+def test_no_program_moves_an_arm_whose_shape_is_not_known(tmp_path):
+    """An arm of a URDF got programs of wide moves with a note that nothing is planned."""
+    arm = (CATALOGUE / "kr210_r2700_extra.toml").read_text(encoding="utf-8").split("[[shape]]")[0]
+    cell = written_cell(tmp_path / "cell", **{'"kr210_r2700_extra"': '"arm.toml"'})
+    (tmp_path / "cell" / "arm.toml").write_text(arm, encoding="utf-8")
+    found, out, err = told("--cell", str(cell), "--out", str(tmp_path / "p"))
+    assert (found, out) == (2, "") and "leaves out shape, and a program of poses, which is to touch nothing, needs it" in err, err
     assert not (tmp_path / "p").exists()
