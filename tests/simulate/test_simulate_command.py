@@ -1,6 +1,7 @@
 """`python -m ocp.simulate` as a user starts it: a small plan on virtual cells, what it writes, what it refuses."""
 
 import csv
+import errno
 import json
 import re
 import shutil
@@ -17,10 +18,12 @@ from ocp.data import CELL
 from ocp.model.cell import read_cell
 from ocp.plan.planning import Job
 from ocp.shell.cache import sha256
-from ocp.shell.output import MARKER
+from ocp.shell.output import MARKER, whole_folder
 from ocp.simulate.__main__ import app
+from ocp.simulate.twin.dataset import copy_cell
 from ocp.simulate.twin.truth import draw_truth
 from ocp.update.removal import on_blade, read_removal
+from robots.errors import BadInput
 from robots.kinematics import forward
 from robots.robot import CATALOGUE
 from tests.support.browser import NEEDED, looked_at
@@ -525,3 +528,16 @@ def test_the_clock_of_a_campaign_goes_on(plan, tmp_path):
     # 0.3 mm of radius on a flange of 5.6 N/mm, the rest of the chain in series.
     assert later - fresh == pytest.approx(-0.3 * 5.6, rel=0.25)
     one_sentence(simulated(plan, "--clock", "-1", "--out", tmp_path / "x"), 2, "--clock -1 must lie between")
+
+
+def test_a_full_disc_is_told_of_the_folder_that_is_written(tmp_path, monkeypatch):
+    """The blade's file, which was read well, was said to be at fault."""
+
+    def full(file, content):
+        raise OSError(errno.ENOSPC, "No space left on device", str(file))
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    with pytest.raises(BadInput, match="run: cannot be written .No space left on device., nothing is; give another --out"):
+        with whole_folder(tmp_path / "run", False) as folder:
+            copy_cell(read_cell(CELL), folder)
+    assert list(tmp_path.iterdir()) == []

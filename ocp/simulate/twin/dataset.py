@@ -61,9 +61,10 @@ def copy_cell(cell: Cell, folder: Path) -> None:
 def _beside(text: str, key: str, file: Path, folder: Path) -> str:
     """Copy a file and let `key` name the copy."""
     try:
-        shutil.copyfile(file, folder / file.name)
+        content = file.read_bytes()
     except OSError as error:
-        raise BadInput(f"{file}: cannot be copied beside the cell ({error.strerror})") from None
+        raise BadInput(f"{file}: cannot be copied beside the cell ({error.strerror}); give a file that can be read") from None
+    (folder / file.name).write_bytes(content)
     name = json.dumps(file.name)
     return re.sub(rf"^(\s*{key}\s*=\s*)(\"[^\"\n]*\"|'[^'\n]*')", lambda found: found.group(1) + name, text, count=1, flags=re.M)
 
