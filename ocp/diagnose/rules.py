@@ -374,9 +374,10 @@ RESTLESS = 3.5
 noise. Reason: none is known; nearly two of USUAL_JOINT_NOISE_SD."""
 
 UNEVEN = 1.5
-"""[-] Times the joint noise of the others, above which readings of one nest, payload, session or stand may scatter more. Guards:
-'no gap' and names against a nest that flops, which one noise for all holds. Reason: of 81 machines by other hands with nothing
-planted none has a group whose p-value is below 0.01, some of few readings have 1.6; a nest that flops by 0.05 mm has 1.7."""
+"""[-] Times the joint noise of the others, above which readings of one nest, payload, session or stand, or a joint (and RESTLESS)
+scatter more. Guards: 'no gap' and names against a nest that flops, which one noise for all holds. Reason: of 81 machines by
+other hands with nothing planted none has a group whose p-value is below 0.01, some of few readings have 1.6; a nest that flops by
+0.05 mm has 1.7; of 64 with 10 to 30 urad of ripple in every gear no joint has more than 32 urad."""
 
 LEAST_GROUP = 8
 """[readings] Of such a group, and of the others. Guards: as UNEVEN. Reason: 24 numbers, a scatter known to 15 %."""

@@ -1,4 +1,4 @@
-"""Readings of one nest, payload, session or stand that scatter more than the others: what no one joint noise makes.
+"""Readings of one nest, payload, session or stand, or one joint, that scatter more than others: what no one joint noise makes.
 
 A fit has one joint noise for all readings, so a nest that flops raises it for all and is then noise. Here each group has its own,
 `s` for its readings and `t` for the others, by Student's t:
@@ -6,13 +6,16 @@ A fit has one joint noise for all readings, so a nest that flops raises it for a
     2 [log p(group | s) + log p(others | t) - max over one noise of both] ~ chi^2(1)
 
 if all scatter alike. Noise acts through each reading's own levers: a nest farther out scatters more and is no such group.
+
+So with one joint, whose levers tell it: an axis that errs by what nothing recorded tells (a hose that pulls it, a slipping belt)
+raises the noise of all, and there, small beside the first axes' long levers, it is hardly seen.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import minimize_scalar
+from scipy.optimize import minimize, minimize_scalar
 from scipy.special import chdtrc
 
 from robots.calibration.noise import JOINT_NOISE, Noise, reading_covariance, whitener
@@ -21,16 +24,19 @@ from robots.pose import Array
 from robots.tracker_readings import Index, Instrument, Readings
 
 KINDS = {"target": "nest", "payload": "payload", "session": "session", "station": "station"}  # columns, in words
+INSTRUMENT_NOISE = (0.1, 1e3)  # times the stated, where it is searched
 
 
 @dataclass(frozen=True)
 class GroupScatter:
-    """Readings by their kind and name, and the share of all that they are; ratio of their joint noise to the others'; rms m (3D)
-    that they scatter beyond these; probability that they scatter like these, the number of groups allowed for."""
+    """Readings by their kind and name, or a joint by its number and all readings, and the share of all that they are; their joint
+    noise rad and its ratio to the others'; rms m (3D) that they scatter beyond these; probability that they scatter like these,
+    the number of groups allowed for."""
 
     kind: str
     name: str
     share: float
+    joints: float
     ratio: float
     rms: float
     p_value: float
@@ -38,10 +44,13 @@ class GroupScatter:
     @property
     def words(self) -> str:
         """Where, by how much and how sure."""
-        return f"{1e3 * self.rms:.2g} mm more at {KINDS[self.kind]} {self.name} than elsewhere (p {self.p_value:.1g})"
+        where = f"{KINDS.get(self.kind, self.kind)} {self.name}"
+        return f"{1e3 * self.rms:.2g} mm more at {where} than elsewhere (p {self.p_value:.1g})"
 
     def holds(self, readings: Readings) -> NDArray[np.bool_]:
-        """Which of these readings (n,) are its."""
+        """Which of these readings (n,) are its and no others'; none are a joint's alone."""
+        if self.kind == "joint":
+            return np.zeros(len(readings), bool)
         return np.asarray(np.array(getattr(readings, f"{self.kind}s"))[getattr(readings, self.kind)] == self.name)
 
 
@@ -78,7 +87,39 @@ def scatter_by_group(
         like_others = noise.joints**2 * float(np.expm1(2.0 * usual)) * lever[rows] + expected[rows]
         beyond = min(beyond, float(np.mean(np.sum(off[rows] ** 2, axis=1) - like_others)))  # gross readings are in the latter
         rms = float(np.sqrt(max(beyond, 0.0)))
-        found.append(GroupScatter(kind, name, len(rows) / len(off), float(np.exp(level - usual)), rms, p))
+        joints, ratio = noise.joints * float(np.exp(level)), float(np.exp(level - usual))
+        found.append(GroupScatter(kind, name, len(rows) / len(off), joints, ratio, rms, p))
+    return found
+
+
+def scatter_by_joint(off: Array, readings: Readings, instrument: Instrument, noise: Noise, d_joints: Array) -> list[GroupScatter]:
+    """All joints, each with noise of its own beside that of all and of the instrument, whatever that is: an instrument worse than
+    stated, or its tails, would else be the wrist's, of short levers. off, d_joints as in `scatter_by_group`."""
+    still = reading_covariance(readings, instrument, Noise(0.0), d_joints)
+    each = np.einsum("nij,nkj->jnik", d_joints, d_joints)
+    parts = np.array([still, each.sum(axis=0), *each])
+    searched = np.log([INSTRUMENT_NOISE, JOINT_NOISE, JOINT_NOISE])
+
+    def least(shown: list[int], begin: Array) -> tuple[Array, float]:
+        """Logarithms of the noises of these parts, and twice that of the likelihood, negative."""
+
+        def unlikely(logs: Array) -> float:
+            covariance = consistency(3) * np.tensordot(np.exp(2.0 * logs), parts[shown], 1)
+            squared = np.einsum("ni,ni->n", off, np.linalg.solve(covariance, off[..., None])[..., 0])
+            return float(np.sum((NU + 3) * np.log1p(squared / NU)) + np.linalg.slogdet(covariance)[1].sum())
+
+        found = minimize(unlikely, begin, method="L-BFGS-B", bounds=searched[: len(shown)])
+        return found.x, float(found.fun)
+
+    usual, alike = least([0, 1], np.log([1.0, noise.joints]))
+    found = []
+    for j, one in enumerate(each):
+        (_, *logs), apart = least([0, 1, 2 + j], np.append(usual, usual[1]))
+        of_all, own = np.exp(logs)
+        p = min(1.0, len(each) * float(chdtrc(1, max(alike - apart, 0.0))))
+        rms = float(own * np.sqrt(np.trace(one, axis1=1, axis2=2).mean()))
+        joints = float(np.hypot(of_all, own))
+        found.append(GroupScatter("joint", f"{j + 1}", 1.0, joints, joints / float(of_all), rms, p))
     return found
 
 

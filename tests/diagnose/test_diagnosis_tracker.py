@@ -23,7 +23,7 @@ from ocp.effects.engine.readings import together
 from robots.calibration.layout import moved
 from robots.calibration.noise import Noise, reading_covariance
 from robots.calibration.solver import Campaign
-from robots.calibration.uneven import scatter_by_group
+from robots.calibration.uneven import scatter_by_group, scatter_by_joint
 from robots.errors import BadInput
 from robots.gravity import weight_torques
 from robots.tracker_readings import read_readings
@@ -273,6 +273,31 @@ def test_a_nest_that_flops_is_no_noise_of_the_joints():
     sealed = after.predict(readings, ())
     off = np.abs(sealed.baseline - points(readings))[readings.target == 2]
     assert off.max() < 3.0 * sealed.sigma[readings.target == 2].max()
+
+
+def test_a_joint_that_errs_by_what_no_kernel_knows_is_no_noise_of_all():
+    """Small beside the first axes' long levers, through which the noise of all joints acts as well."""
+    readings, _ = world(31, lambda r: column(5, 9e-5 * np.random.default_rng(3).normal(size=len(r))))
+    found = diagnosed(readings)
+    assert found.verdict == "unexplained" and not found.active and "at joint 5" in found.unknown_reasons[0]
+    assert (found.location.subsystem, found.location.joint, found.location.depends_on) == ("joint", 5, ())
+
+
+@pytest.mark.parametrize("joint", [None, 5])
+def test_an_instrument_worse_than_stated_is_no_joint_of_short_levers(joint):
+    rng = np.random.default_rng(4)
+    readings = replace(campaign_readings(rng, 200), point=rng.uniform(1.0, 4.0, (200, 3)))
+    d_joints, noise = rng.normal(size=(200, 3, 6)) * [2.5, 2.0, 1.5, 0.5, 0.3, 0.2], Noise(1e-5)
+    root = np.linalg.cholesky(9.0 * reading_covariance(readings, INSTRUMENT, Noise(0.0), d_joints))
+    off = np.einsum("nij,nj->ni", root, rng.normal(size=(200, 3))) + np.einsum(
+        "nij,nj->ni", d_joints, noise.joints * rng.normal(size=(200, 6)) * np.where(np.arange(6) == (joint or 0) - 1, 40.0, 1.0)
+    )
+    found = scatter_by_joint(off, readings, INSTRUMENT, noise, d_joints)
+    surest = min(found, key=lambda one: one.p_value)
+    if joint is None:
+        assert surest.p_value > 0.01
+    else:
+        assert surest.name == f"{joint}" and surest.p_value < 1e-6 and 0.7 < surest.joints / (40.0 * noise.joints) < 1.4
 
 
 def test_a_scatter_that_is_even_was_looked_at_all_the_same(monkeypatch):

@@ -16,7 +16,7 @@ from ocp.effects.effect import Active, Effect, Scanned, Surroundings, effects_ke
 from ocp.effects.engine.readings import COLUMNS, PlacedReadings, by_readings, displaced, motion
 from ocp.effects.motor_harmonic import ratios_of
 from robots.calibration.noise import reading_covariance, whitener
-from robots.calibration.uneven import GroupScatter, scatter_by_group
+from robots.calibration.uneven import GroupScatter, scatter_by_group, scatter_by_joint
 from robots.gravity import weight_torques
 from robots.pose import Array
 from robots.tracker_readings import Readings
@@ -95,12 +95,13 @@ class TrackerChannel:
 
     @cached_property
     def uneven(self) -> GroupScatter | None:
-        """The nest, payload, session or stand that scatters more than the others, where one surely does."""
+        """The nest, payload, session, stand or joint that scatters more than the others, where one surely does."""
         fit, c = self.fit, self.task.campaign
         columns = fit.W @ np.concatenate([fit.linear.J, fit.extra], axis=2)
         leverage = np.einsum("nij,jk,nik->n", columns, fit.covariance, columns) / 3.0
         off = fit.linear.residual / np.sqrt(1.0 - np.minimum(leverage, LEVERAGE))[:, None]
-        groups = scatter_by_group(off, c.readings, c.instrument, fit.noise, fit.linear.d_joints, LEAST_GROUP)
+        seen = off, c.readings, c.instrument, fit.noise, fit.linear.d_joints
+        groups = [*scatter_by_group(*seen, LEAST_GROUP), *(one for one in scatter_by_joint(*seen) if is_restless(one.joints))]
         sure = [one for one in groups if one.ratio > UNEVEN and one.p_value < PLACE_SURE]
         return min(sure, key=lambda one: one.p_value, default=None)
 
@@ -223,7 +224,5 @@ class TrackerChannel:
         before, after = self.fitted_with(()), self.fitted_with(active)
         lasting = after.background.draws.mean(axis=0)
         told = predict_sealed_readings((before.task, before.fit), (after.task, after.fit), lasting, sealed)
-        if after.uneven is None:
-            return told
-        more = after.uneven.holds(sealed) * after.uneven.rms**2 / 3.0
-        return replace(told, sigma=np.sqrt(told.sigma**2 + more[:, None]))
+        more = 0.0 if after.uneven is None else after.uneven.holds(sealed)[:, None] * after.uneven.rms**2 / 3.0
+        return replace(told, sigma=np.sqrt(told.sigma**2 + more))

@@ -85,8 +85,8 @@ def _scattering(found: Diagnosis, *reasons: str) -> Diagnosis:
 
 def _placed(found: Diagnosis, at: Location, told: bool) -> Diagnosis:
     """Findings with the place of readings that scatter more than others; told: kernels tell the place already, which stands where
-    it is in another part of the cell."""
-    if told and found.remainder is not None and found.remainder.subsystem != at.subsystem:
+    it is in another part of the cell, or says more than that a joint scatters."""
+    if told and found.remainder is not None and (found.remainder.subsystem != at.subsystem or not at.depends_on):
         return found
     return replace(found, remainder=at, location=found.location if found.active else at)
 

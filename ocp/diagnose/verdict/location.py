@@ -60,9 +60,10 @@ def of_kernel(signal: str, where: str, source: str, joint: int) -> Location:
 
 
 def of_group(signal: str, one: GroupScatter) -> Location:
-    """Of readings that scatter more than the others, which one among the segments."""
-    subsystem = one.kind if one.kind in ("target", "payload") else "tracker"
-    return Location(signal, subsystem, 0, (one.kind,), (one.name,))
+    """Of readings, or a joint, that scatter more than the others, which readings among the segments."""
+    if one.kind == "joint":
+        return Location(signal, one.kind, int(one.name), ())
+    return Location(signal, one.kind if one.kind in ("target", "payload") else "tracker", 0, (one.kind,), (one.name,))
 
 
 def of_tests(tests: list[KernelTest]) -> Location | None:
