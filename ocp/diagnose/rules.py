@@ -503,7 +503,8 @@ against directions that no reading shows. Reason: a fiftieth of the noise; SEEN_
 
 ORDERS_APART = 1.0
 """[rad] Of phase over an axis' range by which two orders of a ripple differ that are both looked at. Guards: prior odds against
-copies of one ripple. Reason: closer ones a log's short ranges cannot tell apart."""
+copies of one ripple, 'none of these' against half orders that a short range shows as whole ones. Reason: closer ones short ranges
+cannot tell apart."""
 
 FAST_SHARE = 0.3
 """[-] Of a signature's squares that averages over blocks lose, from which its pattern is kept beside them. Guards: what is fast

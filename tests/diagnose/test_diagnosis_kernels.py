@@ -204,6 +204,15 @@ def test_a_dropped_file_is_screened_named_planned_and_listed(tmp_path, monkeypat
         sys.modules.pop("ocp.effects.brand_new", None)
 
 
+@pytest.mark.parametrize("degrees, there", [(100.0, False), (130.0, True)])
+def test_half_an_order_more_is_another_ripple_only_over_a_wide_range(degrees, there):
+    """Over 100 degrees whole orders make any half one, and every gear has ripples of whole orders."""
+    c = channel(world(13, n=60)[0]).conditions
+    q = c.q.copy()
+    q[:, 1] = np.radians(degrees) * (np.argsort(np.argsort(q[:, 1])) / (len(q) - 1) - 0.5)
+    assert any(one.where == "ripple2" for one in kernels(replace(c, q=q))) == there
+
+
 def test_a_payload_may_be_named_as_its_owner_likes():
     conditions = channel(world(11)[0]).conditions
     starred = replace(conditions, payloads=tuple(f"{name} 2 * 3 *" for name in conditions.payloads))

@@ -20,7 +20,7 @@ from functools import reduce
 import numpy as np
 
 from ocp.diagnose.engine.channel_system import ReadingConditions
-from ocp.diagnose.rules import FORCE_KERNEL, FRAME_KERNEL, JOINT_KERNEL, LEAST_TORQUE, LEAST_TURN, TILT_KERNEL
+from ocp.diagnose.rules import FORCE_KERNEL, FRAME_KERNEL, JOINT_KERNEL, LEAST_TORQUE, LEAST_TURN, ORDERS_APART, TILT_KERNEL
 from ocp.effects.context import SETTLING
 from ocp.effects.engine.evaluate import left_of_motion
 from robots.pose import Array, Index
@@ -139,7 +139,8 @@ def _of_joint(c: ReadingConditions, j: int) -> Iterator[tuple[str, Sequence[Word
     q, tau, sign = f"q{name}", f"tau{name}", f"approach{name}"
     loaded = c.tau is not None and np.ptp(c.tau[:, j]) > LEAST_TORQUE
     yield q, [half_waves(q, SMOOTH)]
-    yield f"ripple{name}", [turns(q, order) for order in RIPPLES]
+    if 0.5 * np.ptp(c.q[:, j]) > ORDERS_APART:  # else a half order looks as whole ones, which the library and the background have
+        yield f"ripple{name}", [turns(q, order) for order in RIPPLES]
     if c.approach is not None and np.ptp(c.approach[:, j]) > 0:
         yield sign, [[sign, *turns(q, k, sign)] for k in (1, 2)]
         if loaded:
@@ -333,9 +334,8 @@ def conditions_by_name(c: ReadingConditions, reference: float = 0.0, middle: flo
         found |= {f"settling{s:.0f}": left for s, left in zip(SETTLING, left_of_motion(c.waited).T, strict=True)}
     if c.point is not None:
         turned = np.arctan2(c.point[:, 1], c.point[:, 0]) - middle
-        flat = np.linalg.norm(c.point[:, :2], axis=1)
         found |= {"range": np.linalg.norm(c.point, axis=1), "azimuth": np.arctan2(np.sin(turned), np.cos(turned))}
-        found |= {"elevation": np.arctan2(c.point[:, 2], flat)}
+        found |= {"elevation": np.arctan2(c.point[:, 2], np.linalg.norm(c.point[:, :2], axis=1))}
     return found
 
 
