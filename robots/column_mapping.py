@@ -73,6 +73,10 @@ class MappedColumn(TomlTable):
         """One for each of their columns."""
         return self.sign if self.source is None or len(self.sign) > 1 else self.sign * len(self.source)
 
+    def sign_of(self, name: str) -> dict[str, float]:
+        """Sign of each of their columns of which our column `name` is made."""
+        return dict(zip((name,) if self.source is None else self.source, self.signs, strict=True))
+
     @field_validator("source", "sign", mode="before")
     @classmethod
     def _listed(cls, value: Any) -> Any:
@@ -217,10 +221,13 @@ def _check_steps(path: Path, columns: dict[str, MappedColumn]) -> None:
     """Raises BadInput: the steps of an axis are taken from the columns of its angle, in another unit or sense of turn."""
     for k in range(1, 7):
         step, angle = columns.get(f"{APPROACH}{k}"), columns.get(f"q{k}_deg")
-        if step is None or angle is None or step.unit not in STEPS or step.source != angle.source:
+        if step is None or angle is None or step.unit not in STEPS:
+            continue
+        moved, turned = step.sign_of(f"{APPROACH}{k}"), angle.sign_of(f"q{k}_deg")
+        if not moved or moved.keys() != turned.keys():
             continue
         unit = angle.unit or "deg"
-        if (f"step_{unit}" in STEPS and step.unit != f"step_{unit}") or step.signs != angle.signs:
+        if (f"step_{unit}" in STEPS and step.unit != f"step_{unit}") or moved != turned:
             raise BadInput(
                 f"{path}: {APPROACH}{k} is of the columns of q{k}_deg, but not in its unit ({unit}) and sign "
                 f"({', '.join(f'{sign:g}' for sign in angle.sign)}); a motion has those of its axis: correct {APPROACH}{k}"

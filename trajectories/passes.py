@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from scipy.interpolate import CubicSpline
+from scipy.interpolate import CubicSpline, make_interp_spline
 
 from robots.errors import BadInput
 from robots.pose import Array
@@ -28,9 +28,9 @@ class BladePath:
 
     line: 1-based number of the line on the blade; side: "convex" | "concave" | "edge"; p, n, t (n, 3): contact points
     in m, outward unit normals, unit feed directions; s (n,) m arc length from the start; curvature (n, 3): k_tt, k_bb,
-    k_tb in 1/m with b = n x t, positive convex, of `felt_along`; extent (n, 4): distance in m along +t, -t, +b, -b over which the
-    surface goes on before it turns by more than 60 deg or ends; feed (n,) m/s and force
-    (n,) N as programmed; start, rest m: how much of the line lies before this piece of it
+    k_tb in 1/m with b = n x t, positive convex, on flanks of `felt_along`; extent (n, 4): distance in m along +t, -t,
+    +b, -b over which the surface goes on before it turns by more than 60 deg or ends; feed (n,) m/s and force (n,) N as
+    programmed; start, rest m: how much of the line lies before this piece of it
     in its direction, and behind it, 0 of a whole line; before, after m: how much of the asked line lies before its start
     and behind its end, where the wheel has no room; room_before, room_after m: how far beyond either end the wheel may bear
     while it engages and lifts off; turn rad about the normal, signed, by which the wheel is to stand askew, 0: as it comes.
@@ -69,16 +69,17 @@ class ContactFrames:
 
     def path(self, side: str, curvature: Array, extent: Array) -> BladePath:
         """The pass with what was found of the blade at its points."""
-        return BladePath(side=side, curvature=felt_along(self.s, curvature), extent=extent, **vars(self))
+        return BladePath(side=side, curvature=curvature, extent=extent, **vars(self))
 
 
 def felt_along(s: Array, curvature: Array) -> Array:
-    """Curvatures (n, 3) at arc lengths s (n,) m as a wheel feels them: their mean over FELT to either side, less near the ends.
+    """Curvatures (n, 3) at arc lengths s (n,) m of a flank as a wheel feels them: their mean over FELT to either side, less near
+    the ends.
 
     On facets they jump within less than a contact's width; the indentation does not.
     """
     reach = np.minimum(FELT, np.minimum(s - s[0], s[-1] - s))[1:-1]
-    integral = CubicSpline(s, curvature).antiderivative()
+    integral = make_interp_spline(s, curvature, k=1).antiderivative()
     means = (integral(s[1:-1] + reach) - integral(s[1:-1] - reach)) / (2.0 * reach)[:, None]
     return np.vstack([curvature[:1], means, curvature[-1:]])
 
@@ -319,6 +320,6 @@ def feed_directions(p: Array, n: Array, s: Array) -> Array:
 
 def describe(shape: AerofoilShape, side: SideSurface, u: Array, v: Array, at: ContactFrames) -> BladePath:
     """A pass from frames at surface parameters (u, v): adds curvature and extent."""
-    curvature = curvature_in_frame(side.surface, u, v, at.n, at.t)
+    curvature = felt_along(at.s, curvature_in_frame(side.surface, u, v, at.n, at.t))
     extent = extents(shape, side, u, v, at.p, at.n, at.t)
     return at.path(side.name, curvature, extent)

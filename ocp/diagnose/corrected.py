@@ -125,17 +125,13 @@ def _of_contact(channel: Channel, data: DataSet) -> Calibration:
     believed, fit = channel.problem.believed, channel.fit
     covariance = covariance_left(believed.root, fit.information)
     known = [i for i in range(len(FIT_NAMES)) if covariance[i, i] > 0]
-    provenance: dict[str, Any] = _provenance(channel) | {"rows": len(channel.log), FORCE: told_of(channel.log)}
+    told = told_of(channel.log, data.setup.calibration)
+    provenance: dict[str, Any] = _provenance(channel) | {"rows": len(channel.log), FORCE: told}
     provenance[BENDING] = list(channel.problem.scene.cell.compliant_joints)
     if believed.joint_noise is not None:
         provenance["noise"] = {"joints_rad": believed.joint_noise}
-    return Calibration(
-        robot=data.setup.robot.name,
-        names=tuple(FIT_NAMES[i] for i in known),
-        values=fit.at.x[known],
-        covariance=covariance[np.ix_(known, known)],
-        provenance=provenance,
-    )
+    names = tuple(FIT_NAMES[i] for i in known)
+    return Calibration(data.setup.robot.name, names, fit.at.x[known], covariance[np.ix_(known, known)], provenance)
 
 
 def _provenance(channel: Channel) -> dict[str, Any]:

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from ocp.effects.context import LOADED
 from ocp.model.cell_schema import CellTables
 from robots.calibration.store import Calibration
 from robots.errors import BadInput
@@ -56,7 +57,8 @@ def held_in(calibration: Calibration, tables: CellTables, robot: Robot, file: Pa
     for table, (_, names) in RESTS_ON.items():
         then = told.get(table)
         lost = [name for name in names if name in calibration.names]
-        added = ", ".join(e.word for e in tables.believed if e.active.effect.subsystem in SUBSYSTEMS[table])
+        on_top = [e for e in tables.believed if e.active.effect.subsystem in SUBSYSTEMS[table]]
+        added = ", ".join(e.word for e in on_top if e.active.scanned.get("payload", LOADED) in (LOADED, tables.hanging))
         if not (lost or added) or not isinstance(then, dict):
             continue
         if changed := _changed(now.get(table, {}), then):

@@ -84,6 +84,9 @@ def test_effects_that_come_on_top_of_an_edited_number_are_told(tmp_path):
     assert "mass_kg is 27, the calibration was made with 25: still on top of that come the cell's effects payload_mass;" in told
     (tmp_path / "cell.toml").write_text(text.replace("radius_mm = 40.0", "radius_mm = 45.0"))
     assert len(read_cell(tmp_path / "cell.toml").calibration.notices) == 1
+    text = text.replace("mass_kg = 25.0", "mass_kg = 27.0").replace('payload = "grinder"\n[', 'payload = "weight"\n[')
+    (tmp_path / "cell.toml").write_text(text)  # what is found of another payload is not on top of this one
+    assert not any("on top" in told for told in read_cell(tmp_path / "cell.toml").calibration.notices)
 
 
 def test_what_was_calibrated_is_not_told_as_unmeasured(tmp_path):

@@ -162,6 +162,19 @@ def test_a_mesher_is_given_up_by_what_it_computes_not_by_the_clock(monkeypatch, 
         volume_mesh(*wedge(), 4e-3)
 
 
+def test_a_batch_queue_may_limit_the_computing_itself(monkeypatch):
+    limited = "import resource; resource.setrlimit(resource.RLIMIT_CPU, (600, 600))\n"
+    real = module.subprocess.run
+
+    def run(command, **options):
+        python, flag, script, *rest = command
+        begin = f"{limited}import runpy, sys; sys.argv = sys.argv[1:]; runpy.run_path(sys.argv[0], run_name='__main__')"
+        return real([python, flag, "-c", begin, script, *rest], **options)
+
+    monkeypatch.setattr(module.subprocess, "run", run)
+    assert volume_mesh(*wedge(), 4.1e-3).mesher == "netgen"
+
+
 def test_useless_surfaces_and_sizes_are_refused():
     vertices, faces = wedge()
     with pytest.raises(BadInput, match="open"):

@@ -9,6 +9,7 @@ import pytest
 
 from ocp.calibrate.force.fit import FIT_NAMES
 from ocp.calibrate.force.log import is_known, log_mark
+from ocp.calibrate.force.registration import told_of
 from ocp.diagnose.answering import channels_of, tracker_channel
 from ocp.diagnose.corrected import calibration_of
 from ocp.diagnose.dataset import read_data_set
@@ -72,8 +73,15 @@ def test_a_corrected_cell_remembers_the_log_that_it_was_made_from(channels):
     """An update took it a second time, and was twice as sure."""
     readings, off = channels
     data = read_data_set(off.log.path.parent)
-    told = calibration_of({"tracker": readings, "force": off}, data).provenance["force"]
+    made = calibration_of({"tracker": readings, "force": off}, data)
+    told = made.provenance["force"]
     assert is_known(log_mark(data.log), [told["recordings"]]) and told["clock_s"] == data.log.clock.max()
+    known = replace(made, provenance={"force": {"recordings": "a b"}, "update": {"logs": ["c d", "e"]}})
+    began = replace(data, setup=replace(data.setup, calibration=known))
+    told = calibration_of({"force": off}, began).provenance["force"]["recordings"]
+    assert told == f"a b c d e {log_mark(data.log)}" and is_known("c d", [told]) and is_known("e", [told])
+    edited = replace(known, provenance={"force": 3, "update": {"logs": "x"}})
+    assert told_of(data.log, edited)["recordings"] == log_mark(data.log)
 
 
 def test_what_the_readings_tell_is_told_beside_a_log_that_no_name_fits(channels, monkeypatch):

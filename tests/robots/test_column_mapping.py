@@ -50,6 +50,15 @@ def test_a_table_made_by_others_is_read_as_ours(tmp_path):
     assert np.allclose(r.turn[0], rot_x(a) @ rot_y(b) @ rot_z(c))
 
 
+@pytest.mark.parametrize("step", ['from = "q1_deg", unit = "step_deg"', 'from = ["q1_deg"], unit = "step_deg", sign = 1'])
+def test_a_step_of_a_column_of_ours_has_its_sign_too(tmp_path, step):
+    (tmp_path / "c.toml").write_text(f"q1_deg = {{ sign = -1 }}\napproach1 = {{ {step} }}\n")
+    with pytest.raises(BadInput, match=r"approach1 is of the columns of q1_deg, but not in its unit \(deg\) and sign \(-1\)"):
+        read_column_mapping(tmp_path / "c.toml")
+    (tmp_path / "c.toml").write_text('q1_deg = { unit = "rad" }\napproach1 = { unit = "step_deg" }\n')
+    assert len(read_column_mapping(tmp_path / "c.toml").columns) == 2
+
+
 def test_the_sign_of_a_step_is_that_of_the_last_motion(tmp_path):
     more = "".join(f'approach{k} = {{ from = "j{k}", unit = "step_rad", sign = {-1 if k == 2 else 1} }}\n' for k in range(2, 7))
     signs = readings(tmp_path, MAPPING + more).approach

@@ -13,7 +13,7 @@ from ocp.calibrate.force.log import Flags, ForceLog, log_mark, refuse_few_rows
 from ocp.calibrate.force.noise import GROSS
 from ocp.calibrate.force.rows import ForceSetup, prepare_force
 from ocp.model.cell import Cell
-from robots.calibration.carried import FORCE, carried_over
+from robots.calibration.carried import FORCE, UPDATE, carried_over
 from robots.calibration.parameters import MDH_NAMES
 from robots.calibration.store import Calibration
 from robots.errors import Infeasible
@@ -102,9 +102,19 @@ class ForceFit:
         return carried_over(own, robot)
 
 
-def told_of(log: ForceLog) -> dict[str, Any]:
-    """What a calibration remembers of its log: how its recordings are told again, and its last clock s."""
-    return {RECORDINGS: log_mark(log)} | ({} if log.clock is None else {"clock_s": float(log.clock.max())})
+def told_of(log: ForceLog, known: Calibration | None = None) -> dict[str, Any]:
+    """What a calibration remembers of its log: how its recordings are told again, and those of the logs that a calibration
+    `known`, from which it goes on, was found by; the log's last clock s."""
+    marks = " ".join([*({} if known is None else dict.fromkeys(marks_of(known))), log_mark(log)])
+    return {RECORDINGS: marks} | ({} if log.clock is None else {"clock_s": float(log.clock.max())})
+
+
+def marks_of(calibration: Calibration) -> list[str]:
+    """Marks of the logs that a calibration, and the updates since, were made from; an edited one may have none."""
+    first, since = (calibration.provenance.get(key) for key in (FORCE, UPDATE))
+    found = [first.get(RECORDINGS)] if isinstance(first, dict) else []
+    logs = since.get("logs") if isinstance(since, dict) else None
+    return [mark for mark in [*found, *(logs if isinstance(logs, list) else [])] if isinstance(mark, str)]
 
 
 def fit_force(cell: Cell, log: ForceLog, robot: Calibration | None = None, setup: ForceSetup | None = None) -> ForceFit:

@@ -66,5 +66,7 @@ if __name__ == "__main__":
     with suppress(ImportError):
         import resource
 
-        resource.setrlimit(resource.RLIMIT_CPU, (int(sys.argv[4]), resource.RLIM_INFINITY))
+        most = resource.getrlimit(resource.RLIMIT_CPU)[1]  # of a batch queue, say
+        seconds = int(sys.argv[4])
+        resource.setrlimit(resource.RLIMIT_CPU, (seconds if most == resource.RLIM_INFINITY else min(seconds, most), most))
     mesh_file(*sys.argv[1:4])

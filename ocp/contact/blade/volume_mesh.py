@@ -31,7 +31,7 @@ MAX_ELEMENTS = 60_000  # more would take minutes and gigabytes
 COARSENED, COARSER = 3, 1.1  # tries with too many elements, and by how much longer their edges get than the count asks for
 MAX_VOLUME_ERROR = 0.01  # of the surface's volume
 SECONDS = {"netgen": 180, "fTetWild": 300}  # of computing, after which a mesher is given up: a busy machine changes no mesh
-PATIENCE = 20  # times as long on the clock: for what hangs, and for systems that do not count
+PATIENCE = 20 if hasattr(signal, "SIGXCPU") else 1  # times as long on the clock: for what hangs; Windows counts no computing
 _UNIT = 1e-3  # m: meshers get millimetres, for which their absolute tolerances are made
 ON_PLANE = 1e-3  # of the mean edge length: nearer vertices are moved onto the plane
 
