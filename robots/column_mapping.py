@@ -73,9 +73,13 @@ class MappedColumn(TomlTable):
         """One for each of their columns."""
         return self.sign if self.source is None or len(self.sign) > 1 else self.sign * len(self.source)
 
+    def sources_of(self, name: str) -> tuple[str, ...]:
+        """Their columns of which our column `name` is made: itself where none is named."""
+        return (name,) if self.source is None else self.source
+
     def sign_of(self, name: str) -> dict[str, float]:
-        """Sign of each of their columns of which our column `name` is made."""
-        return dict(zip((name,) if self.source is None else self.source, self.signs, strict=True))
+        """Sign of each of them."""
+        return dict(zip(self.sources_of(name), self.signs, strict=True))
 
     @field_validator("source", "sign", mode="before")
     @classmethod
@@ -131,9 +135,8 @@ class ColumnMapping:
         return [*(h for h in header if h not in used and h not in self.columns), *self.columns]
 
     def sources_of(self, name: str) -> tuple[str, ...]:
-        """Their columns of which a column of ours is made; one that is in no table, or in one without `from`, is its own."""
-        given = self.columns[name].source if name in self.columns else None
-        return (name,) if given is None else given
+        """Their columns of which a column of ours is made; one that is in no table is its own."""
+        return self.columns[name].sources_of(name) if name in self.columns else (name,)
 
     def values(self, name: str, theirs: Sequence[Array], n: int) -> Array:
         """A column (n,) of ours from theirs (n,) each."""

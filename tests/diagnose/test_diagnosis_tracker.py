@@ -283,6 +283,13 @@ def test_a_joint_that_errs_by_what_no_kernel_knows_is_no_noise_of_all():
     assert (found.location.subsystem, found.location.joint, found.location.depends_on) == ("joint", 5, ())
 
 
+def test_a_joint_that_scatters_as_gears_do_is_no_gap():
+    """Several times the others', surely, and no more than a gear's ripple under no name."""
+    readings, _ = world(31, lambda r: column(5, 2.6e-5 * np.random.default_rng(3).normal(size=len(r))))
+    found = diagnosed(readings)
+    assert found.verdict == "no_gap" and found.channels[0].uneven is None
+
+
 @pytest.mark.parametrize("joint", [None, 5])
 def test_an_instrument_worse_than_stated_is_no_joint_of_short_levers(joint):
     rng = np.random.default_rng(4)
