@@ -343,10 +343,27 @@ def test_a_value_is_as_unsure_as_the_order_of_its_wave():
         whole = linearised([LinearChannel(y, np.zeros((80, 1)), np.ones(1), {("wave", 0): waves})], library, Options())
         best = weigh(whole.pool, [0])
         (one,) = whole.values(best)
-        off, sd = abs(one.parameters["a0"] - a[0]), whole.deviations(best, one)
+        off, sd = abs(one.parameters["a0"] - a[0]), whole.deviations({frozenset([0]): best}, one)
         inside, alone = inside + (off < 1.645 * sd["a0"]), alone + (off < 1.645 * one.deviations["a0"])
     assert 38 <= inside <= 49 and alone < 28, (inside, alone)
     assert 0.0 < sd["order"] < 2.0
+
+
+def test_a_value_is_as_unsure_as_what_stands_beside_it():
+    """Of two companions that the readings tell apart with odds of ten, one turns the value by half of itself."""
+    rng = np.random.default_rng(1)
+    u, v, w = np.linalg.qr(rng.normal(size=(80, 3)))[0].T * 30.0
+    columns = {(n, 0): c[None, :, None] for n, c in (("own", u), ("across", v), ("along", (v - 0.5 * u + 0.04 * w)))}
+    channel = LinearChannel(u + v, np.zeros((80, 1)), np.ones(1), columns)
+    whole = linearised([channel], {n: effect(n, low=0.9) for n, _ in columns}, Options())
+    sets = {frozenset([0, i]): replace(weigh(whole.pool, [0, i]), log=log) for i, log in ((1, 0.0), (2, np.log(0.1)))}
+    (one,) = (a for a in whole.values(sets[frozenset([0, 1])]) if a.effect.name == "own")
+    assert whole.deviations({frozenset([0, 1]): sets[frozenset([0, 1])]}, one) == pytest.approx(one.deviations)
+    assert one.deviations["a0"] < 0.04
+    # Rows whose noise has tails carry less than their weights say.
+    tailed = linearised([replace(channel, information=0.64)], {n: effect(n, low=0.9) for n, _ in columns}, Options())
+    assert tailed.values(weigh(tailed.pool, [0]))[0].deviations["a0"] == pytest.approx(1 / 30 / 0.8, rel=0.01)
+    assert whole.deviations(sets, one)["a0"] == pytest.approx(0.5 * np.sqrt(1 / 11), rel=0.05)
 
 
 def test_a_share_with_a_sign_beside_it_may_be_negative():

@@ -329,6 +329,10 @@ def test_a_splice_of_unknown_rate_is_found_among_hundreds(made, tmp_path):
     found = diagnose_channels([_again(made, log)], EFFECTS)
     assert [str(n) for n in found.explanations[0].names] == ["belt_splice"]
     assert found.active[0].parameters["hz"] == pytest.approx(8.3, abs=0.1)
+    # The value that is told and written is the one that the cell was fitted with, as unsure as tails of the noise leave it.
+    (fitted,) = found.channels[0].active
+    assert found.active[0].a.tolist() == fitted.a.tolist() == found.ranking[0].active.a.tolist()
+    assert 0.7 < found.channels[0].system.information < 1.0
 
 
 def test_held_out_errors_are_those_of_a_refit(made, tmp_path):

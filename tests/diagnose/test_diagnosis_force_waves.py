@@ -269,7 +269,7 @@ def test_columns_beside_a_delay_are_what_the_prediction_does(made: Made):  # noq
         replace(_active(name, scanned=scanned), a=np.array(a))
         for name, scanned, a in (
             ("time_delay", {"size": 0.01}, [0.04]),
-            ("wheel_relaxation", {"tau": 0.5}, [0.2]),
+            ("wheel_relaxation", {"tau": 0.5, "acts_g": 0.2}, [0.2]),
             ("sensor_gain", {}, [0.03]),
             ("wheel_wear", {}, [2e-7]),
         )

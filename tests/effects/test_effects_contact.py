@@ -198,18 +198,24 @@ def test_a_delay_shows_the_force_of_before_and_a_lag_that_of_behind():
 
 
 def test_rubber_lets_go_as_a_standard_linear_solid():
-    x = log()
-    lost = library()["wheel_relaxation"].along(x, 0, {"tau": 0.5})[:, 0]
+    x, let_go = log(), library()["wheel_relaxation"].along
     since = np.where(x.run == 0, x.time - 1.0, x.time)
-    solid = -0.1 * 20.0 * (1 - np.exp(-since / 0.5))
-    assert (lost[~x.contact] == 0).all()
-    assert lost[x.contact] == pytest.approx(solid[x.contact], abs=0.05)  # one sample of the lag
-    assert lost[x.run == 1][0] == 0.0 and lost[-1] == pytest.approx(-2.0, abs=0.05)
+    for g, share in ((0.0, 0.1), (0.3, 0.1), (0.3, 1.0)):
+        lost = let_go(replace(x, wheel_share=share * np.ones(len(since))), 0, {"tau": 0.5, "acts_g": g})[:, 0]
+        # Behind a spring that is 1 - share of the give, step by step: what the cover lets go, the spring presses in again.
+        held, each, step = 0.0, [], 1e-3
+        for _ in np.arange(0.0, since.max() + step, step):
+            each.append(-share * held)
+            held += (20.0 + g * held * (1.0 - share) - held) * step / 0.5
+        assert (lost[~x.contact] == 0).all()
+        expected = np.interp(since, step * np.arange(len(each)), each)
+        assert lost[x.contact] == pytest.approx(expected[x.contact], abs=0.5 * share)  # one sample of the lag
+        assert lost[x.run == 1][0] == 0.0 and lost[-1] == pytest.approx(each[-1], rel=0.02)
     # A log of one row, and forces that are no numbers: whoever asked sees it.
     alone = replace(x, **{f.name: getattr(x, f.name)[-1:] for f in fields(x) if f.name != "clock"})
-    assert library()["wheel_relaxation"].along(alone, 0, {"tau": 0.5})[:, 0].tolist() == [0.0]
+    assert let_go(alone, 0, {"tau": 0.5, "acts_g": 0.1})[:, 0].tolist() == [0.0]
     off = replace(x, F=np.where(x.run == 1, np.nan, x.F))
-    assert not np.isfinite(library()["wheel_relaxation"].along(off, 0, {"tau": 0.5})).all()
+    assert not np.isfinite(let_go(off, 0, {"tau": 0.5, "acts_g": 0.1})).all()
 
 
 def test_a_flange_that_sticks_lets_go_at_once_and_is_held_again_over_its_limit():

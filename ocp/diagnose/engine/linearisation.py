@@ -250,34 +250,38 @@ class Linearisation:
     def values(self, weighed: Weighed) -> tuple[Active, ...]:
         """Effects of a set with their values and covariance, everything in the set fitted together, priors at the upper ends;
         in the order of their names."""
-        members = list(weighed.members)
-        if not members:
+        if not weighed.members:
             return ()
-        C = np.hstack([self.pool.columns(m) for m in members])
-        step = linear_step(self.pool.y, C, np.zeros(C.shape[1]), np.ones(C.shape[1]), RANK)
-        covariance, found, start = step.covariance, [], 0
-        for m in members:
-            family = self.pool.families[m.family]
-            block = slice(start, start + len(family.scale))
-            start = block.stop
-            if family.effect is not None:
-                scaled = covariance[block, block] * np.outer(family.scale, family.scale)
-                scanned = family.scans[m.variant]
-                found.append(Active(family.effect, family.name.joint, step.change[block] * family.scale, scanned, scaled))
-        return tuple(sorted(found, key=lambda a: a.key))
+        families = [self.pool.families[m.family] for m in weighed.members]
+        C, scale = np.hstack([self.pool.columns(m) for m in weighed.members]), np.concatenate([f.scale for f in families])
+        a = scale * linear_step(self.pool.y, C, np.zeros(len(scale)), np.ones(len(scale)), RANK).change
+        share = np.concatenate([np.full(len(c.system.residual), c.system.information) for c in self.channels])
+        covariance = np.linalg.inv(np.eye(len(scale)) + C.T @ (C * share[:, None])) * np.outer(scale, scale)
+        found, blocks = list[Active](), np.split(np.arange(len(scale)), np.cumsum([len(f.scale) for f in families])[:-1])
+        for m, f, k in zip(weighed.members, families, blocks, strict=True):
+            if f.effect is not None:
+                found.append(Active(f.effect, f.name.joint, a[k], f.scans[m.variant], covariance[np.ix_(k, k)]))
+        return tuple(sorted(found, key=lambda one: one.key))
 
-    def deviations(self, weighed: Weighed, one: Active) -> dict[str, object]:
-        """Standard deviations of an effect's values by key, over its variants that the readings hardly tell apart: a wave fits
-        nearly as well with the next order, at another phase."""
-        m = self.member(weighed, Name(*one.key))
+    def variants(self, weighed: Weighed, name: Name) -> tuple[Member, tuple[Member, ...], Array]:
+        """The member of a set that has a name, the others, and beside them the log evidence (V,) of its family's variants."""
+        m = self.member(weighed, name)
         others = tuple(other for other in weighed.members if other is not m)
-        log = np.logaddexp.reduce(scan_one(self.pool, given(self.pool, others), m.family)[0], axis=1)
-        share = np.exp(log - np.logaddexp.reduce(log))
-        likely = []
-        for v in np.flatnonzero(share > rules.LISTED):
-            found = self.values(replace(weighed, members=(*others, m._replace(variant=int(v)))))
-            likely += [(float(share[v]), other) for other in found if other.key == one.key]
-        return deviations_among(one, likely)
+        return m, others, np.logaddexp.reduce(scan_one(self.pool, given(self.pool, others), m.family)[0], axis=1)
+
+    def deviations(self, sets: Mapping[Key, Weighed], one: Active) -> dict[str, object]:
+        """Standard deviations of an effect's values by key, over all that the readings hardly tell apart: its variants, as a wave
+        fits nearly as well with the next order, at another phase, and what else these sets hold beside it."""
+        name, likely, whole = Name(*one.key), list[tuple[float, Active]](), 0.0
+        best = self.best_with(sets, name)
+        for weighed in (s for k, s in sets.items() if self.index[name] in k and s.log > best.log + np.log(rules.FOLLOWED)):
+            m, others, log = self.variants(weighed, name)
+            share = np.exp(log - np.logaddexp.reduce(log) + weighed.log - best.log)
+            whole += float(share.sum())
+            for v in np.flatnonzero(share > rules.LISTED):
+                found = self.values(replace(weighed, members=(*others, m._replace(variant=int(v)))))
+                likely += [(float(share[v]), one if weighed is best and v == m.variant else a) for a in found if a.key == one.key]
+        return deviations_among(one, [(share / whole, other) for share, other in likely])
 
     def taken(self, weighed: Weighed) -> Given:
         """The set as given, with priors at the upper ends: what a fit of it takes from the data."""

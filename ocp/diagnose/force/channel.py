@@ -120,6 +120,7 @@ class ForceChannel:
             offset=(Vt @ self.fit.z[: r + o])[keep],
             reading=np.concatenate([*place, far]),
             picked=picked_squares(self.waves) + self.trains.picked,
+            information=self.fit.whiteners[0].noise.kinds[True].noise.information(),
         )
 
     @property

@@ -2,6 +2,7 @@
 machine shows, and terms that cancel each other."""
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from itertools import combinations
 
@@ -121,8 +122,9 @@ def findings(
         named = ~(search.kernel | search.background)
         for key in [k for k in search.sets if names <= k or (tries >= rules.HOPELESS_FITS and named[list(k)].any())]:
             del search.sets[key]
+    active = as_fitted(active, channels)
     signatures = [problem.signature(weighed, a) for a in active]
-    ranked = ranking(problem, search, found)
+    ranked = ranking(problem, search, found, active)
     classes = classes_of(problem, weighed, active) if active else suspected(problem, search, ranked)
     doubts = (*failed.items(), *implausible(active), *cancelling([Name(*a.key) for a in active], signatures))
     hurting = [(n, f"hurts where {f} is left out") for n, f in refused]
@@ -176,9 +178,8 @@ def leader(problem: Linearisation, found: Posterior) -> tuple[Weighed, Names]:
 
 def explanations(found: Posterior, classes: Sequence[tuple[Name, ...]]) -> tuple[Explanation, ...]:
     """By probability; sets that differ by names of one class are one, under the more probable of its names."""
-    groups, p = _alike(found, classes), found.probability
-    merged_sets = [Explanation(g[0], sum(p[n] for n in g), max(found.best[n].log for n in g)) for g in groups]
-    return tuple(sorted(merged_sets, key=lambda e: -e.probability))
+    each = ((g[0], sum(found.probability[n] for n in g), max(found.best[n].log for n in g)) for g in _alike(found, classes))
+    return tuple(sorted((Explanation(*one) for one in each), key=lambda e: -e.probability))
 
 
 def _alike(found: Posterior, classes: Sequence[tuple[Name, ...]]) -> list[list[Names]]:
@@ -190,14 +191,23 @@ def _alike(found: Posterior, classes: Sequence[tuple[Name, ...]]) -> list[list[N
     return list(groups.values())
 
 
-def ranking(problem: Linearisation, search: Search, found: Posterior) -> tuple[Ranked, ...]:
+def as_fitted(active: Sequence[Active], channels: Sequence[Channel]) -> tuple[Active, ...]:
+    """Effects with the values of the fit where the force alone shows them: a contact is curved. Others stay as they are, beside
+    the background that a fit of the arm does not hold: of 160 values of tracker worlds 86 % are within their 90 %, by the fit
+    79 %."""
+    fits = [[(c.name, a) for c in channels for a in c.active if a.key == one.key] for one in active]
+    return tuple(f[0][1] if [n for n, _ in f] == ["force"] else one for one, f in zip(active, fits, strict=True))
+
+
+def ranking(problem: Linearisation, search: Search, found: Posterior, active: Sequence[Active]) -> tuple[Ranked, ...]:
     """Names by probability to a hundredth, then, where they are probable, by how much of the gap is theirs, else by the evidence
-    for them against their absence (not against their being in the background); values are those of the best set that has them."""
-    ranked = []
+    for them against their absence (not against their being in the background); values of names that are not active are those of
+    the best set that has them."""
+    ranked, fitted = [], {a.key: a for a in active}
     for name in sorted(found.marginal, key=lambda n: (found.marginal[n] < rules.LEADS, -found.gain[n]))[: rules.RANKED]:
         weighed = problem.best_with(search.sets, name)
-        one = next(a for a in problem.values(weighed) if a.key == (name.effect, name.joint))
-        d, sd = problem.signature(weighed, one), problem.deviations(weighed, one)
+        one = next(fitted.get(a.key, a) for a in problem.values(weighed) if a.key == (name.effect, name.joint))
+        d, sd = problem.signature(weighed, one), problem.deviations(search.sets, one)
         ranked.append(Ranked(name, min(found.marginal[name], 1.0), found.gain[name], one, float(d @ d), sd))
     return tuple(sorted(ranked, key=lambda r: (-round(r.probability, 2), -r.detectability * (r.probability > rules.LEADS))))
 
@@ -232,10 +242,9 @@ def screened(problem: Linearisation) -> tuple[Screened, ...]:
         ratio = gained[best] / g.m / max((total - gained[best]) / (pool.freedom - g.m), 1e-9)
         p, among = float(fdtrc(g.m, pool.freedom - g.m, ratio)), max(V, family.among)
         energy = float(np.trace(G[best])) / g.m
-        own = family.name
-        others = np.array([e for n, e in energies.items() if n.effect == own.effect and n.joint != own.joint]) / g.m
+        others = np.array([e for n, e in energies.items() if n.effect == family.name.effect and n != family.name]) / g.m
         odds = family.log_odds + float(np.log(among / V))
-        smallest = smallest_seen(family.effect, own.joint, family.scans, among, odds, energy, others)
+        smallest = smallest_seen(family.effect, family.name.joint, family.scans, among, odds, energy, others)
         left = share_left(problem, family, best, energy * g.m)
         found.append(Screened(family.name, float(gained[best]), g.m, among, min(1.0, 1 - (1 - p) ** among), smallest, left))
     return tuple(sorted(found, key=lambda s: s.p_value))
@@ -283,15 +292,15 @@ def cancelling(names: Sequence[Name], signatures: Sequence[Array]) -> list[tuple
 def refitted(baseline: Sequence[Channel], problem: Linearisation, active: tuple[Active, ...]) -> tuple[Channel, ...] | None:
     """Channels of all readings with the effects active, the baseline where none is; those of the search where they are that
     already; None where no fit with them comes to rest."""
-    found = []
-    for whole, searched in zip(baseline, problem.channels, strict=True):
-        visible = tuple(a for a in active if not whole.blind(a.effect))
-        same = effects_key(searched.active, 2) == effects_key(visible, 2) and len(searched.gap()) == len(whole.gap())
-        try:
-            found.append(whole if not visible else searched if same else whole.with_active(active))
-        except Infeasible:
-            return None
-    return tuple(found)
+    with suppress(Infeasible):
+        return tuple(_refitted(whole, now, active) for whole, now in zip(baseline, problem.channels, strict=True))
+    return None
+
+
+def _refitted(whole: Channel, searched: Channel, active: tuple[Active, ...]) -> Channel:
+    visible = tuple(a for a in active if not whole.blind(a.effect))
+    same = effects_key(searched.active, 2) == effects_key(visible, 2) and len(searched.gap()) == len(whole.gap())
+    return whole if not visible else searched if same else whole.with_active(active)
 
 
 def errors_of_folds(channels: Sequence[Channel], active: tuple[Active, ...]) -> dict[str, tuple[HeldOut, ...]]:

@@ -26,7 +26,7 @@ from ocp.diagnose import rules
 from ocp.diagnose.engine.beam import NOTHING, Key, Search, Weighed
 from ocp.diagnose.engine.findings import Alternative, Name, Ranked, summing_to
 from ocp.diagnose.engine.linearisation import Linearisation
-from ocp.diagnose.engine.pool import CandidatePool, Member, given, scan_one
+from ocp.diagnose.engine.pool import CandidatePool, Member, given
 from ocp.diagnose.verdict.patching import is_patch, patches_of, unfaded
 from ocp.effects.effect import Active, Scanned
 from robots.pose import Array
@@ -222,7 +222,7 @@ def _variants(problem: Linearisation, weighed: Weighed, active: tuple[Active, ..
     for place, own in enumerate(active):
         listed = [(1.0, own)]
         if _words(own.scanned):
-            listed = _by_words(problem, weighed, problem.member(weighed, Name(*own.key)), own)
+            listed = _by_words(problem, weighed, own)
         elif own.falls_out_of_step:
             listed = [(1.0 / 3.0, one) for one in _by_rate(problem, own)]
         shares = [(s * p, (*a[:place], one, *a[place + 1 :])) for s, a in shares for p, one in listed]
@@ -240,14 +240,11 @@ def _by_rate(problem: Linearisation, one: Active) -> Iterator[Active]:
         yield replace(one, scanned={**s, "hz": s["hz"] + hz, "turn": (s["turn"] + hz * float(clock.mean())) % 1.0})
 
 
-def _by_words(problem: Linearisation, weighed: Weighed, member: Member, one: Active) -> list[tuple[float, Active]]:
+def _by_words(problem: Linearisation, weighed: Weighed, one: Active) -> list[tuple[float, Active]]:
     """Probability of every choice of words of an effect, the rest of its set held, and the effect at its best with them."""
-    pool, family = problem.pool, problem.pool.families[member.family]
-    others = [m for m in weighed.members if m.family != member.family]
-    log, _ = scan_one(pool, given(pool, others), member.family)
-    per = np.logaddexp.reduce(log, axis=1)
+    member, others, per = problem.variants(weighed, Name(*one.key))
     groups: dict[tuple[tuple[str, str], ...], list[int]] = {}
-    for v, scanned in enumerate(family.scans):
+    for v, scanned in enumerate(problem.pool.families[member.family].scans):
         groups.setdefault(_words(scanned), []).append(v)
     own = _words(one.scanned)
     weight = np.array([np.exp(np.logaddexp.reduce(per[rows]) - per.max()) for rows in groups.values()])
