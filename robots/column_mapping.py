@@ -112,6 +112,8 @@ class ColumnMapping:
     rotation: str | None = None
     columns: dict[str, MappedColumn] = field(default_factory=dict)
     zeros: dict[str, float] = field(default_factory=dict)
+    asked: set[str] = field(default_factory=set)  # columns of ours that a table which was read may have, of all such tables
+    made: set[str] = field(default_factory=set)  # those of its tables that made something in one of them
 
     def of_file(self, path: Path, header: Sequence[str]) -> "ColumnMapping":
         """What of it is for a file with this header: a table whose columns the file lacks makes nothing, and what the file has
@@ -127,7 +129,18 @@ class ColumnMapping:
                 )
             if not lacking:
                 made[name] = column
+        self.made.update(made)
         return replace(self, columns=made)
+
+    def refuse_idle(self) -> None:
+        """Raises BadInput, when all tables were read: one of a column that they may have made nothing in any. A misspelt name
+        would leave out what is optional: a load would count as none, all payloads as the first."""
+        for name in self.columns:
+            if name in self.asked - self.made:
+                lacking = shown(", ".join(self.sources_of(name)))
+                raise BadInput(
+                    f"{self.path}: {name} is made of {lacking}, a column that no table has; correct from, or take {name} out"
+                )
 
     def header(self, header: Sequence[str]) -> list[str]:
         """Our names of what the file that it is for holds: its columns that no table uses, then those that tables make."""

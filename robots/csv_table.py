@@ -103,6 +103,7 @@ def read_csv_table(
     ignored and named in `ignored`. Raises BadInput for everything else.
     """
     path = Path(path)
+    mapping.asked.update(needed, optional)
     theirs, rows, lines = _cells(path, needed, words, mapping)
     mapping = mapping.of_file(path, theirs)
     header = mapping.header(theirs)

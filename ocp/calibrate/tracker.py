@@ -140,6 +140,7 @@ def _calibrate(tracker: Path, cell: Path, method: str, phases: Phases, mapping: 
     with phases.phase("readings"):
         setup = read_tracker_setup(cell)
         readings = read_readings(tracker, setup.payloads, setup.instrument, mapping=mapping)
+        mapping.refuse_idle()  # a force log, where there is one, was read before
         campaign = Campaign(setup.robot, readings, setup.payloads, setup.instrument)
         _refuse_few(readings, campaign)
         refuse_mistakes(campaign)

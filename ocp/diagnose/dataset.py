@@ -81,8 +81,7 @@ def read_data_set(folder: str | Path, columns: Path | None = None) -> DataSet:
     """
     folder = Path(folder)
     if not folder.is_dir():
-        what = "is a file" if folder.is_file() else "no such folder"
-        raise BadInput(f"{folder}: {what}; give the folder that holds {CELL} and {', '.join(MEASURED)}")
+        raise BadInput(f"{folder}: is no folder; give the one that holds {CELL} and {', '.join(MEASURED)}")
     if not (folder / CELL).is_file():
         raise BadInput(f"{folder}: holds no {CELL}; put the cell's file beside the measurements")
     found = [name for name in MEASURED if (folder / name).is_file()]
@@ -104,6 +103,7 @@ def read_data_set(folder: str | Path, columns: Path | None = None) -> DataSet:
             log = replace(log, notices=(*log.notices, f"{FORCE}, line {full[0]}, column fn_N: {full[1]}"))
     if JOINTS in found:
         joints = read_joint_log(folder / JOINTS, mapping)
+    mapping.refuse_idle()
     sealed = {signal: folder / name for signal, name in SEALED.items() if (folder / name).is_file()}
     told = [] if setup.calibration is None else list(setup.calibration.notices)
     told += [n for part in (readings, log, joints) if part is not None for n in part.notices] + left_out_notices(setup.robot)

@@ -202,7 +202,7 @@ def shorten(path: Path, lines: int) -> None:
 
 def test_the_command_line_refuses_with_code_two(tmp_path):
     found = called(app, tmp_path, "nowhere")
-    assert found.code == 2 and "no such folder" in found.err and not found.out
+    assert found.code == 2 and "is no folder" in found.err and not found.out
     assert called(app, tmp_path).code == 2
 
 

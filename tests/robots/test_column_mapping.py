@@ -174,3 +174,16 @@ def test_a_row_that_begins_with_a_cross_is_a_note_or_refused(tmp_path):
     with pytest.raises(BadInput, match="line 3, column target: '#1' begins with #, and the row has a value for every column"):
         read("target,q1_deg\nA,5\n#1,6\n", ("target",))
     assert list(read("q1_deg,target\n#5,a\n6,b\n", ("target",)).numbers["q1_deg"]) == [6.0]
+
+
+def test_a_table_that_no_file_has_columns_for_is_refused(tmp_path):
+    lines = ("q1_deg = { from = 'j1' }", "q2_deg = {}", "fn_N = { from = 'F' }", "payload = { from = 'Lsat' }")
+    (tmp_path / "m.toml").write_text("\n".join(lines) + "\n")
+    mapping = read_column_mapping(tmp_path / "m.toml")
+    (tmp_path / "t.csv").write_text("j1,q2_deg,Last\n1,2,weight\n")
+    (tmp_path / "f.csv").write_text("q1_deg,Lsat\n1,weight\n")
+    read_csv_table(tmp_path / "t.csv", ("q1_deg", "q2_deg"), ("payload",), ("payload",), mapping=mapping)
+    with pytest.raises(BadInput, match="payload is made of Lsat, a column that no table has; correct from, or take payload out"):
+        mapping.refuse_idle()  # fn_N is of a table that was not read
+    read_csv_table(tmp_path / "f.csv", ("q1_deg",), ("payload",), ("payload",), mapping=mapping)
+    mapping.refuse_idle()
