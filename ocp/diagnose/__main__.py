@@ -34,12 +34,11 @@ def _diagnose(
         from ocp.effects.catalogue import effect_list
 
         return effect_list()
-    if poses is not None and design is None:
-        raise BadInput("--poses goes with --design cell.toml; measured readings belong into the data set's folder")
-    if log is not None and design is None:
-        raise BadInput("--log goes with --design cell.toml; a measured log belongs into the data set's folder as force.csv")
-    if design is not None and folder is not None:
-        raise BadInput(f"{folder}: --design looks at a plan, not at a data set; give one of them")
+    for name, file in (("--poses", poses), ("--log", log)):
+        if file is not None and design is None:
+            raise BadInput(f"{name} goes with --design cell.toml; what was measured belongs into the data set's folder")
+    if design is not None and (given := folder or columns) is not None:
+        raise BadInput(f"{given}: --design looks at a plan, not at a data set; give one of them")
     if design is not None:
         from ocp.diagnose.foresee.design import design_text
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from os.path import lexists
 from pathlib import Path
 from typing import Any
 
@@ -84,7 +85,7 @@ def read_data_set(folder: str | Path, columns: Path | None = None) -> DataSet:
         raise BadInput(f"{folder}: is no folder; give the one that holds {CELL} and {', '.join(MEASURED)}")
     if not (folder / CELL).is_file():
         raise BadInput(f"{folder}: holds no {CELL}; put the cell's file beside the measurements")
-    found = [name for name in MEASURED if (folder / name).is_file()]
+    found = [name for name in MEASURED if lexists(folder / name)]  # what is no file is refused by its reader
     if not found:
         raise BadInput(f"{folder}: holds none of {', '.join(MEASURED)}; nothing was measured, so nothing can be diagnosed")
     setup = read_tracker_setup(folder / CELL)
@@ -104,7 +105,7 @@ def read_data_set(folder: str | Path, columns: Path | None = None) -> DataSet:
     if JOINTS in found:
         joints = read_joint_log(folder / JOINTS, mapping)
     mapping.refuse_idle()
-    sealed = {signal: folder / name for signal, name in SEALED.items() if (folder / name).is_file()}
+    sealed = {signal: folder / name for signal, name in SEALED.items() if lexists(folder / name)}
     told = [] if setup.calibration is None else list(setup.calibration.notices)
     told += [n for part in (readings, log, joints) if part is not None for n in part.notices] + left_out_notices(setup.robot)
     blind = tuple(n for n in told if blinds(n))

@@ -206,6 +206,19 @@ def test_the_command_line_refuses_with_code_two(tmp_path):
     assert called(app, tmp_path).code == 2
 
 
+def test_what_is_there_but_no_file_is_not_taken_for_absent(tmp_path):
+    write_tracker_folder(tmp_path / "set", 3, 0.0, n=24)
+    (tmp_path / "set" / "joints.csv").symlink_to(tmp_path / "moved.csv")
+    found = called(app, tmp_path, "set")
+    assert found.code == 2 and "joints.csv: cannot be read" in found.err
+
+
+def test_a_mapping_is_of_a_data_set(tmp_path):
+    (tmp_path / "cell.toml").write_text(CELL.format(stiffness=SPRINGS))
+    found = called(app, tmp_path, "--design", "cell.toml", "--columns", "m.toml")
+    assert found.code == 2 and "m.toml: --design looks at a plan" in found.err
+
+
 def test_a_folder_in_use_is_not_overwritten(tmp_path, capsys):
     write_tracker_folder(tmp_path / "set", 3, 0.0, n=24, sealed=3)
     (tmp_path / "out").mkdir()
