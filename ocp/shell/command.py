@@ -191,7 +191,8 @@ def refusal(error: Exception, not_solved: str = "no safe plan") -> tuple[str, in
     if isinstance(error, Infeasible):
         return f"{not_solved}, nothing written: {error}", NOT_SOLVED
     if isinstance(error, OSError):
-        where = f"{error.filename}: " if error.filename else ""
+        # Without a name it was a file already open, or one of those that pass between processes.
+        where = f"{error.filename or 'a temporary file (TMPDIR) or a result'}: "
         return f"refused: {where}{error.strerror or error}; free space or permission is wanting there", BAD_INPUT
     if isinstance(error, MemoryError):
         return f"{not_solved}, nothing written: memory does not suffice; take a smaller input", NOT_SOLVED

@@ -60,7 +60,8 @@ class Output:
             while not parent.exists():
                 parent = parent.parent
         except OSError as error:
-            raise BadInput(f"--out {str(self.named)[:40]}..: {error.strerror}; give a shorter name") from None
+            do = "a shorter name" if error.errno == errno.ENAMETOOLONG else "another --out"
+            raise BadInput(f"--out {str(self.named)[:40]}..: {error.strerror}; give {do}") from None
         if not parent.is_dir():
             raise BadInput(f"{self.named}: cannot be made, {parent} is a file; give another --out")
         for place in (parent, self.folder):

@@ -196,7 +196,7 @@ def _child(work: Callable[[], int], to_parent: int, alive: int, scratch: str, as
     signal.signal(signal.SIGTERM, _tell)
     signal.signal(signal.SIGTSTP, signal.SIG_DFL)
     signal.signal(signal.SIGTTOU, signal.SIG_IGN)  # a terminal set to stop what writes from the background stops no command
-    threading.Thread(target=_end_with_parent, args=(alive,), daemon=True).start()
+    threading.Thread(target=_end_with_parent, args=(alive, scratch), daemon=True).start()
     code = 1
     try:
         if asked:
@@ -234,8 +234,10 @@ def _tell(_signal: int, _frame: FrameType | None) -> None:
     raise KeyboardInterrupt
 
 
-def _end_with_parent(alive: int) -> None:
+def _end_with_parent(alive: int, scratch: str) -> None:
+    """What a killed parent would have done: remove the temporary files and end every process."""
     select.select([alive], [], [])
+    shutil.rmtree(scratch, ignore_errors=True)
     os.killpg(0, signal.SIGKILL)
 
 

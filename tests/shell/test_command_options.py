@@ -88,3 +88,9 @@ def test_a_console_of_another_code_page_ends_no_command():
     page = os.environ | {"PYTHONIOENCODING": "cp1252"}
     told = subprocess.run([sys.executable, "-c", code], capture_output=True, env=page, check=True)
     assert told.stdout.split() == [b"0.05", b"\\u2192", b"0.04"]
+
+
+def test_a_full_disc_is_told_with_a_place_to_look_at():
+    told = refusal(OSError(28, "No space left on device"))
+    assert told is not None and told[1] == 2
+    assert told[0].startswith("refused: a temporary file (TMPDIR) or a result: No space left on device; free space")

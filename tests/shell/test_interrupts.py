@@ -221,6 +221,7 @@ def test_no_process_outlives_a_killed_command_and_the_next_one_clears_away(scrip
     while processes(process.pid) and time.monotonic() < until:
         time.sleep(0.05)
     assert processes(process.pid) == []
+    assert [p for p in (script.parent / "tmp").iterdir() if p.suffix != ".lock"] == []
     assert list(tmp_path.glob(".out*")) and not out.exists()
     again = started(script, "finish", out)
     assert again.communicate(timeout=20)[0] == "done\n" and again.returncode == 0

@@ -458,3 +458,12 @@ def test_several_processes_add_to_one_folder(tmp_path):
             os._exit(0)
     assert [os.waitpid(child, 0)[1] for child in children] == [0, 0, 0]
     assert len(names(out / "worlds")) == 60 and shell_output.users_file(out) is None and names(tmp_path) == ["check"]
+
+
+def test_a_place_that_may_not_be_looked_into_needs_no_shorter_name(tmp_path, monkeypatch):
+    def denied(*_):
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr("pathlib.Path.exists", denied)
+    with pytest.raises(BadInput, match="Permission denied; give another --out"):
+        shell_output.Output(tmp_path / "out", False, False).check()
