@@ -9,6 +9,7 @@ import ctypes
 import errno
 import json
 import os
+import re
 import shutil
 import sys
 import tempfile
@@ -20,12 +21,14 @@ from pathlib import Path
 from filelock import FileLock, Timeout
 
 from ocp.shell import processes
-from robots.errors import BadInput
+from robots.errors import BadInput, shown
 
 LONGEST_NAME = 200  # bytes; file systems take 255, the temporary neighbour needs some
 MARKER = ".written.json"
 """Name of the list of files, with their SHA-256, that a written folder holds."""
 DIGITS = 64  # of a hash: of what is no regular file there is none, and no list can have it
+# Of names: they stand in what is written, where a line break would begin a line of its own and what is no UTF-8 cannot stand.
+UNTOLD = re.compile(r"[\x00-\x1f\x7f-\x9f\ud800-\udfff]")
 NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EIO, errno.EFBIG)  # a file's name seldom comes with these
 OLD, NEW = "replaced", "unfinished"  # what stands beside a folder while it is written
 
@@ -376,6 +379,8 @@ def _empty(folder: Path) -> bool:
 
 
 def _resolved(path: Path) -> Path:
+    if UNTOLD.search(str(path.absolute())):
+        raise BadInput(f"{shown(path, 400)}: the name has a line break or another sign that files cannot tell; rename it")
     try:
         found = path.resolve()
         looped = any(os.path.islink(one) for one in (found, *found.parents))  # Python 3.13 leaves a link to itself as it is

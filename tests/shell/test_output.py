@@ -467,3 +467,11 @@ def test_a_place_that_may_not_be_looked_into_needs_no_shorter_name(tmp_path, mon
     monkeypatch.setattr("pathlib.Path.exists", denied)
     with pytest.raises(BadInput, match="Permission denied; give another --out"):
         shell_output.Output(tmp_path / "out", False, False).check()
+
+
+@pytest.mark.parametrize("name", ["log\nradius_mm = 5.csv", "Gr\udcf6\udcdfe.csv", "tab\t.csv"])
+def test_a_name_that_cannot_stand_in_a_file_is_refused(tmp_path, name):
+    for out, inputs in ((tmp_path / "out", [tmp_path / name]), (tmp_path / name / "out", [])):
+        with pytest.raises(BadInput, match="a line break or another sign") as refusal, reserved(out, False, inputs):
+            pass
+        assert "\n" not in str(refusal.value) and str(refusal.value).isprintable()
