@@ -193,6 +193,7 @@ def _calibrate(tracker: Path, cell: Path, method: str, phases: Phases, mapping: 
             *left_out_notices(setup.robot),
             *_effect_notices(known, believed),
             *_turn_notice(given, readings),
+            *(() if sealed is None else sealed.notices),
             *_notices(full),
         ),
     )
@@ -319,7 +320,8 @@ def _refit(method: str) -> Callable[[Campaign, Fit], Fit] | None:
 def as_in(sealed: Readings, readings: Readings) -> Readings:
     """`sealed` with its targets, payloads, stations and sessions numbered as in `readings`, by their names; where it names no
     target or station and only one was measured, that one. Raises BadInput for a target or station that was not measured, a
-    payload that neither the cell nor the readings know. The motions to them count from the readings, too."""
+    payload that neither the cell nor the readings know. The motions to them count from the readings, too; its notices are those
+    of columns that were ignored, or that `readings` has and it lacks."""
     for kind in WORDS:
         index, names, own = getattr(sealed, kind), getattr(sealed, f"{kind}s"), getattr(readings, f"{kind}s")
         measured = kind in ("target", "station")  # their places come from readings alone
@@ -341,7 +343,13 @@ def as_in(sealed: Readings, readings: Readings) -> Readings:
                 )
         numbers = np.array([own.index(name) if name in known else -1 for name in names], np.int64)
         sealed = replace(sealed, **{kind: numbers[index], f"{kind}s": own})
-    return sealed.among(readings)
+    told = [notice for notice in sealed.notices if "ignored" in notice or "taken to hang" in notice]
+    columns = {"approach": "approach1 .. approach6", "temperature": "temperature_C", "time": "time_s"}
+    lacking = [c for name, c in columns.items() if getattr(readings, name) is not None and getattr(sealed, name) is None]
+    if lacking:
+        has = f"without {', '.join(lacking)}, which {readings.path.name} has"
+        told.append(f"{sealed.path.name}: {has}, what goes with them is not in what is predicted")
+    return replace(sealed, notices=tuple(told)).among(readings)
 
 
 def _refuse_few(readings: Readings, campaign: Campaign) -> None:

@@ -139,8 +139,8 @@ def read_sealed(data: DataSet, signal: str) -> Any:
 
 
 def told_beyond(data: DataSet, signal: str, sealed: Any) -> tuple[str, ...]:
-    """Sentences on sealed conditions of a signal: columns that were ignored, and what lies outside of what was measured."""
-    found = [notice for notice in sealed.notices if "were ignored" in notice]
+    """Sentences on sealed conditions of a signal: columns ignored or lacking, and what lies outside of what was measured."""
+    found = [notice for notice in sealed.notices if signal == "tracker" or "were ignored" in notice]
     if signal == "tracker" and data.readings is not None:
         found += beyond_measured(data.readings, sealed)
     if signal == "force" and data.log is not None:

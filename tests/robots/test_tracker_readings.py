@@ -94,6 +94,15 @@ def test_readings_that_were_sealed_or_saw_nothing_were_waited_for(tmp_path):
     np.testing.assert_allclose(unsigned.waited, [70.0])  # of rows whose signs nobody tells, axes alone tell motions apart
 
 
+def test_columns_that_sealed_conditions_lack_are_told(tmp_path):
+    """Nothing hanging where the readings had a weight, they would be predicted millimetres off."""
+    r = read(tmp_path, HEADER + SIGNS + ",temperature_C", ROW + ",1,1,1,1,1,1,20")
+    payload, rest = as_in(read(tmp_path, "target," + BARE, "T2,0,-90,90,0,20,30,1,2,3"), r).notices
+    assert payload == "tracker.csv: no column payload: 'bare' is taken to hang on the flange throughout"
+    assert "without approach1 .. approach6, temperature_C, which tracker.csv has" in rest
+    assert as_in(r, r).notices == ()
+
+
 def test_absent_words_mean_the_first(tmp_path):
     r = read(tmp_path, BARE, "0,-90,90,0,20,30,1,2,3")
     assert r.payloads[r.payload[0]] == "bare" and r.stations == r.sessions == ("",)
