@@ -139,7 +139,7 @@ class ColumnMapping:
             if name in self.asked - self.made:
                 lacking = shown(", ".join(self.sources_of(name)))
                 raise BadInput(
-                    f"{self.path}: {name} is made of {lacking}, a column that no table has; correct from, or take {name} out"
+                    f"{self.path}: {name} is made of {lacking}, which no table read here has; correct from, or take {name} out"
                 )
 
     def header(self, header: Sequence[str]) -> list[str]:

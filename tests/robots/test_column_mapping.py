@@ -183,7 +183,7 @@ def test_a_table_that_no_file_has_columns_for_is_refused(tmp_path):
     (tmp_path / "t.csv").write_text("j1,q2_deg,Last\n1,2,weight\n")
     (tmp_path / "f.csv").write_text("q1_deg,Lsat\n1,weight\n")
     read_csv_table(tmp_path / "t.csv", ("q1_deg", "q2_deg"), ("payload",), ("payload",), mapping=mapping)
-    with pytest.raises(BadInput, match="payload is made of Lsat, a column that no table has; correct from, or take payload out"):
+    with pytest.raises(BadInput, match="payload is made of Lsat, which no table read here has; correct from"):
         mapping.refuse_idle()  # fn_N is of a table that was not read
     read_csv_table(tmp_path / "f.csv", ("q1_deg",), ("payload",), ("payload",), mapping=mapping)
     mapping.refuse_idle()
