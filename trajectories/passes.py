@@ -106,7 +106,7 @@ class PassOptions:
     tip_margin: float = 5e-3
     edge_margin: float = 3e-3
     spread: Mapping[str, tuple[Array, Array]] = field(default_factory=dict)
-    step: float = 0.5e-3
+    step: float = 1e-3
     pad_radius: float = 0.0
     wheel_radius: float = 0.0
     wheel_width: float = 0.0

@@ -28,7 +28,7 @@ def _plan(
     stock: Annotated[Path | None, typer.Option(help="map of the depth to take off, stock.csv or .ply; without it even")] = None,
     kind: Annotated[str, typer.Option(help="axis (timed splines), cartesian (#TCP splines) or lin (KSS 5)")] = "axis",
     name: Annotated[str | None, typer.Option(help="name of the program; without it the blade's")] = None,
-    step: Annotated[float, typer.Option(help="distance of waypoints in mm")] = 0.5,
+    step: Annotated[float, typer.Option(help="distance of waypoints in mm")] = 1.0,
     whole: Annotated[bool, typer.Option(help="refuse the blade where any of it has to be left out")] = False,
     jobs: Annotated[int, typer.Option(help="several blades: processes, a blade each; 0: one for each core")] = 0,
     scheduler: Annotated[str | None, typer.Option(help="several blades, tcp://..: a Dask cluster plans them")] = None,

@@ -25,7 +25,7 @@ def plan(
     stock: str | Path | None = None,
     kind: str = "axis",
     name: str | None = None,
-    step: float = 5e-4,
+    step: float = 1e-3,
     whole: bool = False,
     progress: Progress | None = None,
 ) -> "PlanResult":

@@ -67,7 +67,7 @@ def plan_night(
     overwrite: bool = False,
     stock: str | Path | None = None,
     kind: str = "axis",
-    step: float = 5e-4,
+    step: float = 1e-3,
     whole: bool = False,
     jobs: int = 0,
     scheduler: str | None = None,

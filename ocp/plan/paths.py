@@ -49,7 +49,7 @@ class PlanOptions:
     program: Path | None = None
     kind: str = "axis"
     name: str | None = None
-    step: float = 5e-4
+    step: float = 1e-3
     even: bool = True
     whole: bool = False
     stock: Path | None = None

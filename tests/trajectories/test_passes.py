@@ -46,7 +46,7 @@ def test_frames_margins_and_spacing(sample, direction):
         np.testing.assert_allclose(length(path.t), 1.0, atol=1e-12)
         np.testing.assert_allclose(np.sum(path.n * path.t, axis=1), 0.0, atol=1e-12)
         steps = length(np.diff(path.p, axis=0))
-        assert steps.max() < 0.5e-3 * 1.001 and np.ptp(steps) < 0.02 * steps.mean()  # even
+        assert steps.max() < 1e-3 * 1.001 and np.ptp(steps) < 0.02 * steps.mean()  # even
         np.testing.assert_allclose(np.diff(path.s), steps, rtol=0.01)
         along = np.diff(path.p, axis=0) / steps[:, None]
         assert np.sum(along * path.t[:-1], axis=1).min() > 0.999  # t is the way of travel
