@@ -132,7 +132,7 @@ def phases(cell_file: Path, stl: Path, quick: bool) -> None:
         print(f"{stl.name}: {runs[0][2]} waypoints, {cores} cores; seconds of wall clock")
         print(f"{'':18}{'cold':>8}{'warm':>8}")
         for name in runs[0][0]:
-            print(f"{name:18}" + "".join(f"{seconds[name]:8.2f}" for seconds, *_ in runs))
+            print(f"{name:18}" + "".join(f"{seconds.get(name, 0.0):8.2f}" for seconds, *_ in runs))
         print(f"{'in all':18}" + "".join(f"{run[1]:8.2f}" for run in runs))
         print(f"{'waypoints/s':18}" + "".join(f"{run[2] / run[1]:8.1f}" for run in runs))
         for place, name in enumerate(("processor s", "MB, main process", "MB, largest other")):
