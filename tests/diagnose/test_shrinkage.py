@@ -368,7 +368,7 @@ def gap_of(low: float | None, shows: tuple[str, ...], **kinds: Shrinkage) -> Sig
 
 def test_only_what_is_promised_above_zero_is_written():
     backlash, drift = (Active(LIBRARY[n], 0, np.ones(1), {}, np.eye(1)) for n in ("backlash", "sensor_drift"))
-    found = SimpleNamespace(active=(backlash, drift))
+    found = SimpleNamespace(active=(backlash, drift), verdict="explained")
     assert promised(found, [gap_of(0.1, ("backlash",)), gap_of(-0.1, ("sensor_drift",))]) == (backlash,)
     assert promised(found, [gap_of(0.1, ("backlash", "sensor_drift")), gap_of(-0.1, ("sensor_drift",))]) == (backlash,)
     assert promised(found, [gap_of(None, ("backlash", "sensor_drift"))]) == ()
@@ -384,6 +384,11 @@ def test_only_what_is_promised_above_zero_is_written():
     assert promised(found, [doubtful]) == (backlash,) and doubtful.harmed == ()
     assert promised(found, [replace(doubtful, beyond=("later",))]) == ()  # what is asked for is later
     assert replace(doubtful, beyond=("later",)).harmed == ("later",)
+    # What is left out takes what the effect is told by. Beside something of no name that is not enough beyond what was measured.
+    partly = SimpleNamespace(active=(backlash,), verdict="partly")
+    for kinds, beside in (((), (backlash,)), (("later",), ()), (("another temperature",), (backlash,))):
+        silent = replace(gap_of(0.1, ("backlash",), later=Shrinkage(0.0, 0.0, 0.0)), beyond=kinds)
+        assert promised(found, [silent]) == (backlash,) and promised(partly, [silent]) == beside
 
 
 def test_what_is_asked_for_is_held_to_the_same_readings_under_another_name():
