@@ -46,8 +46,8 @@ from trajectories.passes import BladePath, reversed_path
 
 ROOT = Path(__file__).resolve().parents[1]
 CELL, BLADE = ROOT / "ocp" / "data" / "cell.toml", ROOT.parent / "shared" / "data" / "blades" / "twisted.stl"
-STEP = 5e-4  # m, the command's default distance of waypoints
-STEPS = (1.8e-3, STEP, 1.5e-4, 6e-5)  # m: 1000 to 30 000 waypoints on 20 passes of 91 mm
+STEP = 1e-3  # m, the command's default distance of waypoints
+STEPS = (1.8e-3, STEP, 5e-4, 1.5e-4, 6e-5)  # m: 1000 to 30 000 waypoints on 20 passes of 91 mm
 
 
 @dataclass(frozen=True)

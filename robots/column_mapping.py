@@ -129,7 +129,7 @@ class ColumnMapping:
                 )
             if not lacking:
                 made[name] = column
-        self.made.update(made)
+        self.made.update(made, (name for name in self.columns if name in header))
         return replace(self, columns=made)
 
     def refuse_idle(self) -> None:

@@ -6,7 +6,7 @@ from ocp.api import Infeasible, PlanResult, plan
 from ocp.data import BLADE, CELL
 
 
-def main(out: Path, blade: Path = BLADE, cell: Path = CELL, step: float = 5e-4) -> PlanResult:
+def main(out: Path, blade: Path = BLADE, cell: Path = CELL, step: float = 1e-3) -> PlanResult:
     """Plan `blade` in `cell` with waypoints `step` m apart; the folder `out` gets the programs."""
     try:
         result = plan(blade, cell=cell, out=out, step=step, progress=lambda phase, done, total: print(phase, done, total or ""))

@@ -76,7 +76,8 @@ def summed(believed: Sequence[Active], found: Sequence[Active]) -> list[Active]:
     that follow from its size, add up, with the covariance of what was fitted."""
 
     def key(one: Active) -> tuple[object, ...]:
-        return one.key, () if one.effect.own_size is not None else scan_key(one.scanned)
+        own = () if one.effect.own_size is None else one.effect.own_size(one.a)
+        return one.key, scan_key({k: v for k, v in one.scanned.items() if k not in own})
 
     total = {key(a): a for a in believed}
     for one in found:

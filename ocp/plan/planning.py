@@ -292,7 +292,7 @@ def _refuse_options(cell_file: Path, cell: Cell, options: PlanOptions) -> None:
         raise BadInput("--path and --program both say where the path comes from; give one of them")
     if not LEAST_STEP <= options.step <= MOST_STEP:
         raise BadInput(
-            f"--step {options.step * 1e3:g} mm is not between {LEAST_STEP * 1e3:g} and {MOST_STEP * 1e3:g} mm; 0.5 is usual"
+            f"--step {options.step * 1e3:g} mm is not between {LEAST_STEP * 1e3:g} and {MOST_STEP * 1e3:g} mm; 1 is usual"
         )
 
 

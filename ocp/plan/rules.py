@@ -193,7 +193,7 @@ patch to either side, which the force needs to rise and fall while the blade mov
 
 STRETCH_ROOM = 1e-3
 """[m] Between a place that cannot be ground and the pass that ends beside it. Guards: passes are planned again where they can
-hold. Reason: judgement; two usual waypoints."""
+hold. Reason: judgement; a usual waypoint."""
 
 LEAST_GROUND_SHARE = 0.5
 """[-] Of the asked surface that has to be ground. Guards: nobody takes a half-ground blade for a ground one. Reason: the
@@ -222,8 +222,8 @@ EMITTED_AIR_TOLERANCE = 2e-4
 """[m] The tolerance off contact. Guards: collisions between emitted points. Reason: a fifteenth of BLADE_MARGIN."""
 
 LEAST_STEP = 5e-5
-"""[m] Between waypoints, at least. Guards: time and memory. Reason: judgement; a tenth of what is usual."""
+"""[m] Between waypoints, at least. Guards: time and memory. Reason: judgement; a twentieth of what is usual."""
 
 MOST_STEP = 5e-3
-"""[m] Between waypoints, at most. Guards: force and collisions are judged at waypoints. Reason: judgement; ten times what is
-usual."""
+"""[m] Between waypoints, at most. Guards: force and collisions are judged at waypoints. Reason: judgement; five times what
+is usual."""

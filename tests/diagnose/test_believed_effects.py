@@ -84,3 +84,8 @@ def test_effects_add_up_where_they_are_the_same_and_stand_side_by_side_else():
     (stick, delay) = summed([sticks[0], late[0]], [sticks[1], late[1]])
     assert stick.parameters == pytest.approx({"N": 0.7, "turn_N": 0.7})
     assert delay.parameters["s"] == pytest.approx(0.015) and delay.scanned["size"] == pytest.approx(0.015)
+    # Not covers of other times, which both relax.
+    pairs = (0.1, 18.0), (0.2, 0.15), (0.05, 0.15)
+    slow, fast, more = (effect_of({"effect": "wheel_relaxation", "g": g, "tau": tau}).active for g, tau in pairs)
+    both = [(*a.parameters.values(), a.scanned["acts_g"]) for a in summed([fast], [slow, more])]
+    assert both == [pytest.approx((0.25, 0.15, 0.25)), pytest.approx((0.1, 18.0, 0.1))]

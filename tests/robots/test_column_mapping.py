@@ -187,3 +187,7 @@ def test_a_table_that_no_file_has_columns_for_is_refused(tmp_path):
         mapping.refuse_idle()  # fn_N is of a table that was not read
     read_csv_table(tmp_path / "f.csv", ("q1_deg",), ("payload",), ("payload",), mapping=mapping)
     mapping.refuse_idle()
+    ours, mapping = tmp_path / "ours.csv", read_column_mapping(tmp_path / "m.toml")
+    ours.write_text("q1_deg,q2_deg,payload\n1,2,weight\n")
+    read_csv_table(ours, ("q1_deg", "q2_deg"), ("payload",), ("payload",), mapping=mapping)
+    mapping.refuse_idle()  # a table that has our names already

@@ -69,7 +69,7 @@ class SignalGap:
         harms."""
         assert self.shrinkage is not None
         low = min(self.shrinkage.low, self.promise.get(ANOTHER_DAY, self.shrinkage).low)
-        return low > 0.0 and not self.harmed and all(self.promise[k].predicted > least for k in self.beyond if k in self.promise)
+        return low > 0.0 and not self.harmed and all(p.predicted > least for k, p in self.promise.items() if k in self.beyond)
 
 
 @dataclass(frozen=True)
@@ -134,8 +134,8 @@ def promised(diagnosis: Diagnosis, gaps: Sequence[SignalGap]) -> tuple[Active, .
     """Named effects that do no harm: every signal which shows one, and has a gap to speak of, promises with the low end of its
     interval above zero that the gap shrinks, on another day too, and no kind of condition that was left out says that it grows;
     one signal at least does. Beside something of no name, which they may stand for in part, what is asked for beyond what was
-    measured has to say so too: else two of 190 force logs, a belt that wanders named a shift of the wheel, come out worse by a
-    third and by 93 %."""
+    measured must, where it was left out, say so too: else two of 190 force logs, a belt that wanders named a shift of the wheel,
+    come out worse by a third and by 93 %."""
     least = 0.0 if diagnosis.verdict == "partly" else -np.inf
     told = [[g.helps(least) for g in gaps if one.key in g.shown and g.shrinkage is not None] for one in diagnosis.active]
     return tuple(one for one, helps in zip(diagnosis.active, told, strict=True) if helps and all(helps))
