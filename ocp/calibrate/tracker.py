@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from os.path import lexists
 from pathlib import Path
 from typing import Any
 
@@ -144,10 +145,7 @@ def _calibrate(tracker: Path, cell: Path, method: str, phases: Phases, mapping: 
         campaign = Campaign(setup.robot, readings, setup.payloads, setup.instrument)
         _refuse_few(readings, campaign)
         refuse_mistakes(campaign)
-        beside = tracker.parent / SEALED
-        sealed = None
-        if beside.exists() and beside.resolve() != tracker.resolve():
-            sealed = as_in(read_readings(beside, setup.payloads, setup.instrument, True, mapping), readings)
+        sealed = _sealed_beside(tracker, readings, setup, mapping)
     with phases.phase("fit"):
         choice = Choice(joints=tuple(j for j in setup.compliant_joints if setup.robot.stiffness[j - 1] > 0))
         campaign = with_turn_sd(campaign, choice)
@@ -197,6 +195,14 @@ def _calibrate(tracker: Path, cell: Path, method: str, phases: Phases, mapping: 
             *_notices(full),
         ),
     )
+
+
+def _sealed_beside(tracker: Path, readings: Readings, setup: TrackerSetup, mapping: ColumnMapping) -> Readings | None:
+    """Conditions to predict in the folder of the readings; None where it has none. Raises BadInput of the file."""
+    beside = tracker.parent / SEALED
+    if not lexists(beside) or beside.resolve() == tracker.resolve():  # what is no file is refused by its reader
+        return None
+    return as_in(read_readings(beside, setup.payloads, setup.instrument, True, mapping), readings)
 
 
 def as_calibration(

@@ -145,6 +145,9 @@ def test_bad_input_is_one_sentence_and_nothing_is_written(tmp_path):
     assert "too few" in refused(folder, "few.csv", "--cell", "cell.toml")
     (folder / "sealed_tracker.csv").write_text((folder / "sealed_tracker.csv").read_text().replace("T1", "T7"))
     assert "T7" in refused(folder, "tracker.csv", "--cell", "cell.toml")
+    (folder / "sealed_tracker.csv").unlink()
+    (folder / "sealed_tracker.csv").symlink_to("lost.csv")
+    assert "sealed_tracker.csv" in refused(folder, "tracker.csv", "--cell", "cell.toml")
 
 
 def test_a_method_that_gains_nothing_is_written_and_says_so(unprinted, tmp_path):

@@ -8,20 +8,26 @@ import re
 import shutil
 import signal
 import time
+from inspect import signature
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from ocp.data import BLADE
+from ocp.plan.__main__ import _plan as command
 from ocp.plan.__main__ import app
 from ocp.plan.files import _renamed
+from ocp.plan.interface import plan
+from ocp.plan.night import plan_night
+from ocp.plan.paths import PlanOptions
 from ocp.shell.output import MARKER, write_marker
 from robots.robot import load_robot
 from tests.support import small_plan
 from tests.support.formats import told_keys
 from tests.support.small_plan import STEP, called, refused, small_cell, tree, undrawn
 from trajectories.krl.checks import check_program
+from trajectories.passes import PassOptions
 
 COLUMNS = (
     "time_s line contact q1_deg q2_deg q3_deg q4_deg q5_deg q6_deg qd1_deg_s qd2_deg_s qd3_deg_s qd4_deg_s qd5_deg_s "
@@ -253,3 +259,9 @@ def test_an_interrupt_leaves_nothing_behind(small, tmp_path, moment, every_core)
     assert out == "" and err.strip() == "interrupted, nothing written"
     assert sorted(p.name for p in tmp_path.iterdir()) == ["blade.stl", "cell.toml"]
     assert not any(workers(process.pid))  # an empty line is a process that is just ending
+
+
+def test_every_way_to_a_plan_lays_waypoints_as_far_apart():
+    asked = (plan, plan_night, PlanOptions, PassOptions)
+    assert {signature(one).parameters["step"].default for one in asked} == {1e-3}
+    assert signature(command).parameters["step"].default == 1.0  # mm

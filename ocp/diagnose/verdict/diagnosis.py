@@ -128,8 +128,7 @@ def findings(
     classes = classes_of(problem, weighed, active) if active else suspected(problem, search, ranked)
     doubts = (*failed.items(), *implausible(active), *cancelling([Name(*a.key) for a in active], signatures))
     hurting = [(n, f"hurts where {f} is left out") for n, f in refused]
-    nothing, all_of_it = given(problem.pool, ()), problem.taken(search.sets[search.best()[0]])
-    tests = kernel_tests(problem, nothing) if options.where else []
+    tests = kernel_tests(problem, given(problem.pool, ())) if options.where else []
     known = Weighed(0.0, tuple(problem.named(weighed)))
     after = kernel_tests(problem, problem.taken(known)) if options.where and active else tests
     return Diagnosis(
@@ -142,7 +141,7 @@ def findings(
         classes=classes,
         location=place(problem, found, active, signatures, tests),
         remainder=place(problem, found, (), (), after) if found.p_unknown > rules.LEADS else of_tests(after),
-        budget=tuple(budget(problem, tests, all_of_it)),
+        budget=tuple(budget(problem, tests, problem.taken(search.sets[search.best()[0]]))),
         kernels=tuple(tests),
         left_over=tuple(after),
         spectrum=tuple(spectra(problem, problem.pool.y)) if options.where else (),
