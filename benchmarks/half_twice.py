@@ -1,12 +1,13 @@
 """What half and twice each rule of the diagnosis do to its answers: `ocp/diagnose/rules.py`, one number at a time.
 
-    PYTHONPATH=. python benchmarks/half_twice.py OUT.json FOLDER [FOLDER ...]
+    PYTHONPATH=. python benchmarks/half_twice.py OUT.json FOLDER [FOLDER ...] [--only RULE,RULE]
 
 A probability is moved by half and twice its odds, a tuple or array as a whole. OUT.json keeps what was answered: the command goes
 on where it ended. Printed are the rules that change a verdict, a name or what is written, and how many changed nothing. Figures:
 docs/diagnosis.md, "Which rules".
 """
 
+import argparse
 import json
 import multiprocessing
 import sys
@@ -56,9 +57,16 @@ def answers(name: str, factor: float, folders: list[Path]) -> dict[str, Any]:
 
 def main() -> None:
     """Answer as it is, then with each rule moved, and print what changed."""
-    out, folders = Path(sys.argv[1]), [Path(a) for a in sys.argv[2:]]
+    parser = argparse.ArgumentParser()
+    parser.add_argument("out", type=Path)
+    parser.add_argument("folders", type=Path, nargs="+")
+    parser.add_argument("--only", default=",".join(numbers()), help="these rules, by their names")
+    given = parser.parse_args()
+    out, folders, asked = given.out, given.folders, given.only.split(",")
+    if unknown := set(asked) - set(numbers()):
+        parser.error(f"no rules: {', '.join(sorted(unknown))}")
     kept: dict[str, dict[str, Any]] = json.loads(out.read_text(encoding="utf-8")) if out.is_file() else {}
-    variants = [("QUIET", 1.0)] + [(name, factor) for name in numbers() for factor in (0.5, 2.0)]
+    variants = [("QUIET", 1.0)] + [(name, factor) for name in asked for factor in (0.5, 2.0)]
     for name, factor in variants:
         key = "as it is" if factor == 1.0 else f"{name} x {factor:g}"
         have = kept.setdefault(key, {})
@@ -72,8 +80,8 @@ def main() -> None:
             if before != after:
                 print(f"{key} | {folder.name} ({labels_of(folder)}): {before} -> {after}", flush=True)
     names = [f.name for f in folders]
-    still = {n for n in numbers() if all(kept[f"{n} x {f}"][w] == kept["as it is"][w] for f in ("0.5", "2") for w in names)}
-    print(f"{len(still)} of {len(numbers())} rules change nothing in {len(folders)} data sets")
+    still = {n for n in asked if all(kept[f"{n} x {f}"][w] == kept["as it is"][w] for f in ("0.5", "2") for w in names)}
+    print(f"{len(still)} of {len(asked)} rules change nothing in {len(folders)} data sets")
 
 
 if __name__ == "__main__":
