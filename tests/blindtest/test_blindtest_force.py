@@ -17,6 +17,7 @@ from ocp.blindtest.worlds.recipes import Recipe, kind_of, pool_of, scaled, withi
 from ocp.blindtest.worlds.sealing import Check, log_noise, write_cell, write_world
 from ocp.calibrate.force.log import read_force_log
 from ocp.data import CELL
+from ocp.effects.catalogue import library
 from ocp.simulate.twin.planting import draw_effect, parse_effect
 from ocp.simulate.twin.truth import PLACEMENT, SENSOR_SIGMA
 
@@ -146,6 +147,16 @@ def test_exact_signatures_hold_what_the_machine_does(machine, view, families, te
 @pytest.fixture(scope="module")
 def families(machine, view):
     return force_families(machine, view.slopes, True)
+
+
+def test_whatever_a_log_can_show_is_in_the_exact_catalogue(families):
+    """Else a class that holds it would be judged wrong, and an effect outside the catalogue not to be imitated."""
+    shown = {name for name, e in library().items() if e.on_arm or e.on_contact}
+    hidden = {"payload_com", "gravity_compensator", "joint_stiffening"}  # by teaching on the machine, all but what is tiny
+    assert shown - {f.effect for f in families} == hidden
+    delayed = next(f.columns[0, :, 0, 0] for f in families if f.name == ("channel_delay", 2))
+    gap = next(f.columns[0, :, 0, 0] for f in families if f.name == ("backlash", 2))
+    assert abs(np.corrcoef(delayed, gap)[0, 1]) > 0.7  # at few feeds a delay goes with the sign of the speed
 
 
 @pytest.mark.parametrize("name", sorted(ON_GRINDING))

@@ -176,7 +176,8 @@ def force_families(machine: GrindingMachine, s: ForceSlopes, orders_too: bool) -
     joints = _of_joints(robot, lambda j, f: s.joint[..., j] * f, q, s.approach, s.torque, warmth, orders)
     # Of what bends under the contact too differences tell; joint_stiffening is planted only where a tracker measures too.
     turned = (f for f in joints if f.effect not in ("joint_stiffening", "joint_compliance"))
-    return _seen([*_of_wheel(machine, s), *_of_frames(machine, s), *_of_sensor(machine), *_differences(machine), *turned])
+    rest = [*_of_wheel(machine, s), *_of_frames(machine, s), *_of_sensor(machine), *_differences(machine), *_late(machine, s)]
+    return _seen([*rest, *turned])
 
 
 Read = Callable[[Sequence[Planted]], Array]
@@ -220,7 +221,8 @@ def _of_wheel(machine: GrindingMachine, s: ForceSlopes) -> Iterator[ExactFamily]
 
 
 def _of_frames(machine: GrindingMachine, s: ForceSlopes) -> Iterator[ExactFamily]:
-    """What is displaced from some time on; frames change between runs, the clamp slips at any time, away from the wheel."""
+    """What is displaced from some time on; frames change between runs, the clamp slips at any time, away from the wheel: as a
+    whole, or back on either side of the blade."""
     rows, moments = machine.rows, machine.bare.moments
     clock, starts = rows.clock, np.array([r.clock for r in rows.runs])
     middle = starts + 0.5 * np.array([rows.time[rows.run == k][-1] for k in range(len(starts))])
@@ -230,17 +232,30 @@ def _of_frames(machine: GrindingMachine, s: ForceSlopes) -> Iterator[ExactFamily
     later = [(clock >= t)[:, None] for t in starts[1:]]
     yield _family("tool_frame_shift", _steps(moved, later), repeat=3)
     yield _family("wheel_frame_shift", _steps(-s.flange[..., :3], later), repeat=3)
-    slips = []
+    back = -(np.where(moments.contact[:, None], moments.n, 0.0) @ held.T)
+    slips, alike = [], np.einsum("sni,ni->sn", moved, back)
     for t in np.sort(np.concatenate([starts[1:], middle])):
         before = np.flatnonzero(moments.contact & (clock <= t))
         if len(before):
-            slips.append((moved @ -(held @ moments.n[before[-1]])) * (clock >= t))
+            slips += [(moved @ back[before[-1]]) * (clock >= t), alike * (clock >= t)]
     yield _family("clamp_slip", np.stack(slips, axis=2)[..., None])
     n = len(clock)
     twist = np.zeros((n, 6, 3))
     twist[:, 3:] = np.eye(3)
     twist[:, :3] = np.cross(np.eye(3)[None], s.frames[:, 6, None, :3, 3]).transpose(0, 2, 1)
     yield _family("base_tilt", _steps(s.of_twists(twist), later), repeat=3)
+
+
+def _late(machine: GrindingMachine, s: ForceSlopes) -> Iterator[ExactFamily]:
+    """Readings that belong to axes as they were before, of one joint or of all."""
+    rows, q = machine.rows, machine.bare.q
+    speed = np.zeros(q.shape)
+    for k in range(len(rows.runs)):
+        own = rows.run == k
+        speed[own] = np.gradient(q[own], rows.time[own], axis=0)
+    each = -s.joint * speed
+    for joint, late in ((0, each.sum(axis=2)), *((j + 1, each[..., j]) for j in range(6))):
+        yield _family("channel_delay", late[:, :, None, None], joint)
 
 
 def _of_sensor(machine: GrindingMachine) -> Iterator[ExactFamily]:
