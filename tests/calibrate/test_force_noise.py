@@ -3,7 +3,17 @@
 import numpy as np
 import pytest
 
-from ocp.calibrate.force.noise import FILTERED, CorrelatedNoise, Runs, estimate_noise, student_weights, whiten
+from ocp.calibrate.force.noise import (
+    FILTERED,
+    CorrelatedNoise,
+    NoiseGroup,
+    ReadingNoise,
+    Runs,
+    Whitener,
+    estimate_noise,
+    student_weights,
+    whiten,
+)
 from tests.support.force_world import correlated
 
 
@@ -100,3 +110,29 @@ def test_few_columns_have_the_bits_of_many():
     many, scale = whiten(runs, noise, weight, columns)
     few, same = whiten(runs, noise, weight, columns[:, :3])
     assert (few == many[:, :3]).all() and (same == scale).all()
+
+
+def test_scores_change_as_even_rows_do_by_what_is_added():
+    """A knock of the noise's own size every twelve readings, among gross ones: rows with the weights that noise and knock have
+    together show four fifths of it."""
+    found, weighed, squares = [], [], []
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        run, time, y = runs_of(rng, 14, 210, sigma=0.3, share=0.4)
+        wild = rng.random(len(y)) < 0.01
+        y[wild] += rng.uniform(1.5, 8.0, wild.sum()) * rng.choice([-1.0, 1.0], wild.sum())
+        knock = 0.3 * (np.arange(len(y)) % 12 < 2)
+        y += knock
+        noise, runs = estimate_noise(run, time, y), Runs.of(run, time)
+        weight = np.ones(len(y))
+        for _ in range(4):
+            weight = student_weights(runs, noise, y, weight)
+        assert noise.freedom <= 6
+        own = Whitener.of(ReadingNoise(np.ones(len(y)), weight, {True: NoiseGroup(np.arange(len(y)), runs, noise)}), 300)
+        rows, columns = own.whole(np.column_stack([y, knock])).T
+        score, even = own.scores(rows), own.even().whole(knock[:, None])[:, 0]
+        found.append(score @ even / (even @ even))
+        weighed.append(rows @ columns / (columns @ columns))
+        squares.append(np.mean(score**2))
+    assert np.mean(found) == pytest.approx(1.0, abs=0.08) and np.mean(weighed) < 0.85
+    assert np.mean(squares) == pytest.approx(1.0, abs=0.08)

@@ -39,7 +39,6 @@ class LinearChannel:
     name: str = "joint"
     unit: str = "arcsec"
     noise_floor: float = 1.0
-    information: float = 1.0
     conditions_given: ReadingConditions | None = None
     each: int = 1  # rows of a reading
     tailed: bool = False
@@ -55,15 +54,8 @@ class LinearChannel:
         residual = self.y - sum((self._of(a)[0] @ a.a for a in self.active), np.zeros(len(self.y)))
         offset = np.zeros(len(self.prior_sd)) if self.offset is None else self.offset
         n = len(self.y)
-        return System(
-            residual - self.A @ offset,
-            self.A,
-            self.prior_sd,
-            offset,
-            np.arange(n) // self.each,
-            tailed=self.tailed,
-            information=self.information,
-        )
+        reading = np.arange(n) // self.each
+        return System(residual - self.A @ offset, self.A, self.prior_sd, offset, reading, tailed=self.tailed)
 
     @property
     def surroundings(self):

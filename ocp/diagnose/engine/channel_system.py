@@ -94,8 +94,7 @@ class System:
     """Whitened linear system of a channel, unit noise: residual (N,), nuisance (N, p), prior_sd (p,) (inf:
     free) and offset (p,) in the nuisance's own units; reading (N,): which of the channel's readings a row belongs to;
     picked: squares beyond their number that rows which were picked for what they show have where nothing is there; tailed:
-    whether the errors of a reading as a whole may follow Student's t, which no weight has taken from the rows yet; information:
-    that a row carries where weights have, over that of a normal law's."""
+    whether the errors of a reading as a whole may follow Student's t, which no weight has taken from the rows yet."""
 
     residual: Array
     nuisance: Array
@@ -104,7 +103,6 @@ class System:
     reading: Index
     picked: float = 0.0
     tailed: bool = False
-    information: float = 1.0
 
 
 Variants = tuple[tuple[Scanned, ...], Array]

@@ -255,8 +255,7 @@ class Linearisation:
         families = [self.pool.families[m.family] for m in weighed.members]
         C, scale = np.hstack([self.pool.columns(m) for m in weighed.members]), np.concatenate([f.scale for f in families])
         a = scale * linear_step(self.pool.y, C, np.zeros(len(scale)), np.ones(len(scale)), RANK).change
-        share = np.concatenate([np.full(len(c.system.residual), c.system.information) for c in self.channels])
-        covariance = np.linalg.inv(np.eye(len(scale)) + C.T @ (C * share[:, None])) * np.outer(scale, scale)
+        covariance = np.asarray(np.linalg.inv(np.eye(len(scale)) + C.T @ C) * np.outer(scale, scale))
         found, blocks = list[Active](), np.split(np.arange(len(scale)), np.cumsum([len(f.scale) for f in families])[:-1])
         for m, f, k in zip(weighed.members, families, blocks, strict=True):
             if f.effect is not None:

@@ -12,7 +12,7 @@ from ocp.calibrate.force.log import ForceLog
 from ocp.calibrate.force.noise import Whitener
 from ocp.calibrate.force.rows import ForceSetup, LogConditions, log_conditions, prepare_force
 from ocp.diagnose.engine.channel_system import UNSEEN, Fold, HeldOut, ReadingConditions, Sealed, System, Variants, Wave
-from ocp.diagnose.force.fit import EffectFit, ForceProblem, fit_effects
+from ocp.diagnose.force.fit import EffectFit, ForceProblem, fit_effects, linear
 from ocp.diagnose.force.held_out import Asked, force_fold_errors, force_folds, predict_sealed_force
 from ocp.diagnose.force.log_averages import LogAverages, log_averages
 from ocp.diagnose.force.logged_contact import logged_arm
@@ -77,11 +77,18 @@ class ForceChannel:
         """For the scans."""
         return replace(surroundings(self.problem), splice_trains=self.trains.found, among={SPLICE.name: self.trains.among})
 
+    @cached_property
+    def scored(self) -> EffectFit:
+        """The fit in rows of one weight, residuals as their own noise scores them: linear in what is not yet fitted too."""
+        fit, even = self.fit, tuple(w.even() for w in self.fit.whiteners)
+        scores = np.concatenate([w.scores(r) for w, r in zip(fit.whiteners, np.split(fit.residual, len(even)), strict=True)])
+        return replace(fit, **vars(linear(self.problem, fit.z, fit.at, even)) | {"residual": scores}, whiteners=even)
+
     @property
     def trains(self) -> SpliceTrains:
         """Trains of a belt's splice that the readings speak for."""
         if "first" not in self.found:  # what else is fitted later hardly moves them
-            self.found["first"] = likely_trains(self.problem, self.fit)
+            self.found["first"] = likely_trains(self.problem, self.scored)
         return self.found["first"]
 
     @cached_property
@@ -96,18 +103,18 @@ class ForceChannel:
     @cached_property
     def waves(self) -> tuple[Wave, ...]:
         """Waves that the readings speak for."""
-        return telling_waves(self.problem, self.fit)
+        return telling_waves(self.problem, self.scored)
 
     @cached_property
     def averages(self) -> LogAverages:
         """Which rows the system has."""
-        return log_averages(self.problem, self.fit, self.effects, self.surroundings, self.waves)
+        return log_averages(self.problem, self.scored, self.effects, self.surroundings, self.waves)
 
     @cached_property
     def system(self) -> System:
         """Whitened about the current fit; directions of the nuisance turned so that they are independent."""
-        averages, (r, o), n = self.averages, self.problem.sizes, len(self.log)
-        white = np.column_stack([self.fit.residual, self.fit.sensitivity[:, : r + o]]).reshape(len(averages.whiteners), n, -1)
+        averages, fit, (r, o), n = self.averages, self.scored, self.problem.sizes, len(self.log)
+        white = np.column_stack([fit.residual, fit.sensitivity[:, : r + o]]).reshape(len(averages.whiteners), n, -1)
         rows = averages.of_whitened(white)
         U, s, Vt = np.linalg.svd(rows[:, 1:], full_matrices=False)
         keep = s > LEAST_DIRECTION
@@ -117,10 +124,9 @@ class ForceChannel:
             residual=rows[:, 0],
             nuisance=U[:, keep] * s[keep],
             prior_sd=np.ones(int(keep.sum())),
-            offset=(Vt @ self.fit.z[: r + o])[keep],
+            offset=(Vt @ fit.z[: r + o])[keep],
             reading=np.concatenate([*place, far]),
             picked=picked_squares(self.waves) + self.trains.picked,
-            information=self.fit.whiteners[0].noise.kinds[True].noise.information(),
         )
 
     @property
@@ -176,8 +182,7 @@ class ForceChannel:
         """The effect's own scan; orders of ripples that the log's short ranges cannot tell apart are thinned."""
         scans = tuple(effect.scan(joint, self.surroundings))
         if joint and scans and set(scans[0]) == {"order"}:
-            span = float(np.ptp(self.surroundings.q_range[joint - 1]))
-            return scans[:: max(1, int(ORDERS_APART / max(span, 1e-3)))]
+            return scans[:: max(1, int(ORDERS_APART / max(np.ptp(self.surroundings.q_range[joint - 1]), 1e-3)))]
         return scans
 
     def with_active(self, active: tuple[Active, ...]) -> "ForceChannel":
@@ -194,8 +199,7 @@ class ForceChannel:
             problem, near = self.problem, self.fit
         fit, before = fit_effects(problem, visible, near), self.baseline if visible else None
         found = replace(self, problem=problem, fit=fit, before=before, judged={})
-        white = self.baseline.fit.whiteners
-        if found.squares(white) > RAN_OFF * self.baseline.squares(white):
+        if found.squares(white := self.baseline.fit.whiteners) > RAN_OFF * self.baseline.squares(white):
             raise Infeasible(
                 f"{self.log.path}: with {', '.join(a.effect.name for a in visible)} the fit of the force log runs off"
             )
