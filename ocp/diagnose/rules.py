@@ -72,9 +72,9 @@ thermal and bending effects have it."""
 FRAME_KERNEL = (2e-5, 5e-4)
 """[m] The same of a displacement of the instrument's frame or along its beam. Reason: as a joint's at one metre."""
 
-FORCE_KERNEL = (0.05, 5.0)
-"""[N] The same of a force reading. Reason: what some hundred readings of usual noise (0.3 N) tell from zero; of the upper end
-none is known."""
+FORCE_KERNEL = (0.2, 5.0)
+"""[N] The same of a force reading. Reason: from below a reading's usual noise (0.3 N); waves of 0.05 N are what the ripple makes
+that every gear has. No reason known for the upper end."""
 
 # ---------- readings: which count, what they can show
 LEAST_READINGS = 20
