@@ -589,9 +589,9 @@ BELIEVED_SPRING_SD."""
 CATALOGUE_SPRING_SD = 2e-6
 """[rad/(N m)] The same of a catalogue's. Guards: as SPRING_SHARE. Reason: the upper end of what joints give."""
 
-FRICTION_SD = {"viscous": 2e-4, "dry": 3e-5}
-"""[s, rad] Of the drive's own friction that a recorded motor torque holds, as the gap it feigns. Guards: a delay or play that is
-friction. Reason: 1e-7 rad/(N m) times 2000 N m s/rad and 300 N m, as large drives measure."""
+DRIVE_SD = {"viscous": 2e-4, "dry": 3e-5, "inertia": 1e-4}
+"""[s, rad, s^2] Of the drive's own friction and rotor that a recorded motor torque holds, as the gap it feigns. Guards: a delay,
+play or scale that is none. Reason: 1e-7 rad/(N m) times 2000 N m s/rad, 300 N m and 1000 kg m^2, as large drives have."""
 
 ENCODER_ACCURACY = np.radians(15.0 / 3600.0)
 """[rad] To which what springs, friction and a delay leave is the encoder's own. Guards: a bent ring that is taken for a gear.

@@ -22,6 +22,7 @@ from ocp.effects.catalogue import library
 from ocp.effects.effect import Active
 from ocp.shell.progress import Phases
 from robots.errors import BadInput
+from robots.rigid_body import inverse_dynamics
 from robots.robot import load_robot
 from tests.support.diagnosis_folder import joint_columns, write_csv, write_joint_folder
 from tests.support.published_campaigns import write_recordings
@@ -197,6 +198,37 @@ def test_friction_in_recorded_torques_is_in_the_sigma(tmp_path):
     told = predict_sealed(answer)["joint"]
     z = ((np.radians(truth) - told.corrected) / np.hypot(told.sigma, 5e-6))[told.inside]
     assert 0.6 < np.sqrt(np.mean(z**2)) < 1.5
+
+
+def moving(seed: int, rotor: float = 0.0, torque: bool = True) -> dict:
+    """joints.csv of an arm that is as believed and moves fast: its springs bear weight and inertia; `rotor` kg m^2 turn on the
+    motor's side of each gear, whose torque `torque` records."""
+    columns = joint_columns(seed)
+    time, hung = np.asarray(columns["time_s"]), PAYLOADS["grinder"]
+    splines = [CubicSpline(time, np.radians(columns[f"q{j}_deg"])) for j in range(1, 7)]
+    q, qd, qdd = (np.stack([s(time, order) for s in splines], axis=1) for order in range(3))
+    held = inverse_dynamics(EXTRA, hung.mass, hung.com, q, qd, qdd)
+    rng = np.random.default_rng(seed)
+    for j in range(3):
+        link = q[:, j] - held[:, j] / EXTRA.stiffness[j] + rng.normal(size=len(q)) * 5e-6
+        columns[f"link{j + 1}_deg"] = np.round(np.degrees(link), 7)
+        columns[f"tau{j + 1}_Nm"] = np.round(held[:, j] + rotor * qdd[:, j] + rng.normal(size=len(q)) * 3.0, 3)
+    return columns if torque else {k: v for k, v in columns.items() if not k.startswith("tau")}
+
+
+def test_an_arm_whose_torques_are_not_recorded_bends_under_its_inertia_too(tmp_path):
+    """Of the weight alone joint 1 has nothing: its motion was taken for a scale of its encoder."""
+    write_csv(tmp_path / "joints.csv", moving(4, torque=False))
+    channel = joint_channel(read_joint_log(tmp_path / "joints.csv"), EXTRA, PAYLOADS["grinder"])
+    assert channel.gap().std() * SCALE["arcsec"] < 1.1  # 1.03 arcsec were added; without the inertia 10
+
+
+def test_rotors_in_recorded_torques_are_no_scale_of_an_encoder(tmp_path):
+    """A motor turns its own rotor too, which loads no spring."""
+    write_joint_folder(tmp_path, 4)
+    write_csv(tmp_path / "joints.csv", moving(4, rotor=300.0))
+    answer = answer_of(tmp_path, Phases())
+    assert answer.diagnosis.p_none > 0.5
 
 
 def test_a_hole_in_a_recording_is_no_motion(tmp_path):

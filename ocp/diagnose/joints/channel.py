@@ -1,13 +1,13 @@
 """The channel of link-side encoders: link angle less motor angle as a fit of offsets, believed springs, effects and delays.
 
-    link_j(t) = q_j(t - s_j) + offset_(j, run) + c_j tau_j - v_j dq_j/dt - k_j sign(dq_j/dt)
+    link_j(t) = q_j(t - s_j) + offset_(j, run) + c_j tau_j - v_j dq_j/dt - k_j sign(dq_j/dt) - m_j d2q_j/dt2
                 + sum over effects of columns_j(t) a                                                                    (1)
 
 with q the motor side and tau the load. The believed springs c are nuisance, as everywhere: as good as `SPRING_SHARE` where the
-cell states them, hardly known where they come from a catalogue; joints without a spring are rigid. v and k are what a recorded
-motor torque holds of the drive's own viscous and dry friction, which loads no spring (c times that friction): the evidence allows
-for them, the fit leaves them at zero, so that they cannot pass a delay off as friction. Only the delay s is not linear;
-Gauss-Newton steps about it.
+cell states them, hardly known where they come from a catalogue; joints without a spring are rigid. v, k and m are what a
+recorded motor torque holds of the drive's own viscous and dry friction and of its rotor, which load no spring; m also what the
+believed inertia lacks where no torque was recorded. The evidence allows for them, the fit leaves them at zero, so that they
+cannot pass a delay off as friction. Only the delay s is not linear; Gauss-Newton steps about it.
 
 A link-side encoder sees what lies between motor and link: effects' hooks `joint`, and `torque` through the joint's spring where
 the load was not recorded (a recorded load holds every weight already). The delay is the encoder's own: the motor's angle of a
@@ -23,7 +23,7 @@ import numpy as np
 from ocp.diagnose.engine.channel_system import SCALE, UNSEEN, Fold, HeldOut, ReadingConditions, Sealed, System, Variants
 from ocp.diagnose.joints.log import JointLog
 from ocp.diagnose.joints.signals import EncoderNoise, Signals, blocks, factors, noise_of, signals_of, whiten_blocks
-from ocp.diagnose.rules import CATALOGUE_SPRING_SD, FRICTION_SD, SPRING_SHARE
+from ocp.diagnose.rules import CATALOGUE_SPRING_SD, DRIVE_SD, SPRING_SHARE
 from ocp.effects.effect import Active, Effect, Scanned, Surroundings, coefficients, prior_sds, with_coefficients
 from ocp.effects.engine.compiled import Hook, evaluated
 from ocp.effects.engine.evaluate import ARM_LAYOUT, ArmRows, arm_rows
@@ -144,15 +144,15 @@ class EncoderProblem:
     @cached_property
     def nuisance(self) -> EncoderNuisance:
         """An offset a joint and run, free: an encoder may be set to zero anew before any recording, which is no gap; friction
-        in recorded torques; springs."""
+        and rotors in recorded torques; springs."""
         s, log = self.signals, self.signals.log
         mine = {j: self.joint == j for j in self.noise}
         runs = [(name, log.run[self.row] == k) for k, name in enumerate(log.runs)]
         found = [(offset_of(j, name), 0.0, np.inf, (at & run).astype(float)) for j, at in mine.items() for name, run in runs]
         loaded = {j: at for j, at in mine.items() if s.measured[j - 1]}
-        for kind, friction in (("viscous", s.viscous), ("dry", s.dry)):
-            for j, at in loaded.items():
-                found.append((f"{kind} {j}", 0.0, FRICTION_SD[kind], np.where(at, -friction[self.row, j - 1], 0.0)))
+        for kind, motion, those in (("viscous", s.viscous, loaded), ("dry", s.dry, loaded), ("inertia", s.qdd, mine)):
+            for j, at in those.items():
+                found.append((f"{kind} {j}", 0.0, DRIVE_SD[kind], np.where(at, -motion[self.row, j - 1], 0.0)))
         for j, (compliance, sd) in self.springs.items():
             found.append((f"spring {j}", compliance, sd, np.where(mine[j], s.tau[self.row, j - 1], 0.0)))
         names, mean, sds, columns = zip(*found, strict=True)
@@ -423,8 +423,8 @@ class JointChannel:
 
 
 def rubbing(nuisance: EncoderNuisance) -> Mask:
-    """Which (p,) are friction in recorded torques: the evidence allows for them, the fit leaves them at zero."""
-    return np.array([name.split()[0] in FRICTION_SD for name in nuisance.names])
+    """Which (p,) are the drive's own, or inertia: the evidence allows for them, the fit leaves them at zero."""
+    return np.array([name.split()[0] in DRIVE_SD for name in nuisance.names])
 
 
 def _unsure_of(

@@ -17,8 +17,8 @@ from scipy.optimize import minimize
 
 from ocp.diagnose import rules
 from ocp.diagnose.joints.log import JointLog, refuse_torque_unit
-from robots.gravity import weight_torques
 from robots.pose import Array, Index, Mask
+from robots.rigid_body import inverse_dynamics
 from robots.robot import Robot
 from robots.tracker_readings import Hanging
 
@@ -29,9 +29,9 @@ MOST = 1500  # readings kept of a log: more of them are no more independent, and
 class Signals:
     """n instants of a log, thinned.
 
-    log: those rows; qd, qdd (n, 6) rad/s, rad/s^2 of the motor side; direction (n, 6) sign of the last motion; tau (n, 6) N m
-    load torque, positive along +q (the motor's with the other sign); viscous (n, 6) rad/s, dry (n, 6): speed and sign of the
-    motion, smoothed as recorded torques are; measured (6,) whether tau was recorded or is the believed arm's weight;
+    log: those rows; qd (n, 6) rad/s of the motor side; direction (n, 6) sign of the last motion; tau (n, 6) N m load torque,
+    positive along +q (the motor's with the other sign); viscous (n, 6) rad/s, dry (n, 6), qdd (n, 6) rad/s^2: speed, sign of the
+    motion, acceleration, smoothed as tau is; measured (6,) whether tau was recorded or is the believed arm's weight and inertia;
     piece (n,): stretch without a hole, splines[piece][j]: motor angle in it; sign: of the recorded torques (`load_sign`).
     """
 
@@ -80,12 +80,12 @@ def signals_of(log: JointLog, robot: Robot, payload: Hanging, like: Signals | No
     piece = _pieces(log)
     splines, qd, qdd, direction, rubbing = _motion(log, piece)
     measured = np.asarray(np.isfinite(log.tau).any(axis=0))
-    weight = weight_torques(robot, log.q, payload.mass, payload.com)
-    refuse_torque_unit(log, weight)
-    tau = np.where(measured, -_smoothed(log, piece, _filled(log)), weight)
+    load = -inverse_dynamics(robot, payload.mass, payload.com, log.q, qd, qdd)
+    refuse_torque_unit(log, load)
+    tau = _smoothed(log, piece, np.where(measured, -_filled(log), load))
     rows = _kept(log)
     viscous, dry = _smoothed(log, piece, qd)[rows], _smoothed(log, piece, rubbing)[rows]
-    moves = qd[rows], qdd[rows], direction[rows], tau[rows], viscous, dry
+    moves = qd[rows], _smoothed(log, piece, qdd)[rows], direction[rows], tau[rows], viscous, dry
     found = Signals(log.take(rows), *moves, measured, piece[rows], splines)
     sign = load_sign(found) if like is None else like.sign
     return replace(found, tau=np.where(found.measured, sign * found.tau, found.tau), sign=sign)
@@ -210,15 +210,15 @@ class EncoderNoise:
 
 
 def state_columns(signals: Signals, joint: int, broad: bool) -> Array:
-    """Functions (n, m) of the state of one joint, of unit size: what a spring, friction and a delay give; `broad`: what gears and
-    scales give too."""
+    """Functions (n, m) of the state of one joint, of unit size: what a spring, friction, a rotor and a delay give; `broad`: what
+    gears and scales give too."""
     j = joint - 1
     q, qd, tau = signals.log.q[:, j], signals.qd[:, j], signals.tau[:, j]
     s = signals.direction[:, j]
     runs = [(signals.log.run == k).astype(float) for k in np.unique(signals.log.run)]
-    found = [*runs, qd, s, tau, *((signals.viscous[:, j], signals.dry[:, j]) if signals.measured[j] else ())]
+    found = [*runs, qd, s, tau, signals.qdd[:, j], *((signals.viscous[:, j], signals.dry[:, j]) if signals.measured[j] else ())]
     if broad:
-        found += [signals.qdd[:, j], q, q**2, np.cos(2 * q), np.sin(2 * q), tau**3, np.abs(tau) * s]
+        found += [q, q**2, np.cos(2 * q), np.sin(2 * q), tau**3, np.abs(tau) * s]
     columns = np.stack(found, axis=1)
     size = np.linalg.norm(columns, axis=0)
     return columns[:, size > 0] / size[size > 0]
