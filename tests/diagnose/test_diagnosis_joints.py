@@ -231,6 +231,18 @@ def test_rotors_in_recorded_torques_are_no_scale_of_an_encoder(tmp_path):
     assert answer.diagnosis.p_none > 0.5
 
 
+def test_ripple_faster_than_the_rows_kept_is_in_the_sigma(tmp_path):
+    """Every third row is kept; among these a ripple of 20 Hz is as white as an encoder's noise, which no link side has."""
+    for name, seed in (("joints.csv", 4), ("sealed.csv", 5)):
+        columns = moving(seed)
+        columns["link1_deg"] += np.degrees(3e-5 * np.cos(250 * np.radians(columns["q1_deg"])))
+        write_csv(tmp_path / name, columns)
+    channel = joint_channel(read_joint_log(tmp_path / "joints.csv"), EXTRA, PAYLOADS["grinder"])
+    told = channel.predict(read_joint_log(tmp_path / "sealed.csv", sealed=True), ())
+    z = ((read_joint_log(tmp_path / "sealed.csv").link[:, :3] - told.corrected) / np.hypot(told.sigma, 5e-6))[told.inside, 0]
+    assert 0.6 < np.sqrt(np.mean(z**2)) < 1.5
+
+
 def test_a_hole_in_a_recording_is_no_motion(tmp_path):
     """A spline over seconds without rows overshoots into speeds that no axis had; friction and ripples explained them."""
     columns = joint_columns(2, delay=4e-3)

@@ -396,7 +396,7 @@ class JointChannel:
         motor = signals.log.q[:, joints - 1]
         told = [columns @ (place @ c.theta) + shift_of(there, c.active) for c in (bare, other)]
         baseline, corrected = (motor + shift.reshape(n, -1) for shift in told)
-        noise = np.array([np.hypot(self.problem.noise[int(j)].quick, self.problem.noise[int(j)].slow) for j in joints])
+        noise = np.array([np.linalg.norm([n.quick, n.slow, n.fast]) for n in self.problem.noise.values()])
         variance, change = _unsure_of(other, self.problem, there, columns @ place, rubs=True)
         fitted_to = (variance + change**2).reshape(n, -1)
         # Where nobody measured, what the effects change is not known better than by its own size.

@@ -32,7 +32,8 @@ class Signals:
     log: those rows; qd (n, 6) rad/s of the motor side; direction (n, 6) sign of the last motion; tau (n, 6) N m load torque,
     positive along +q (the motor's with the other sign); viscous (n, 6) rad/s, dry (n, 6), qdd (n, 6) rad/s^2: speed, sign of the
     motion, acceleration, smoothed as tau is; measured (6,) whether tau was recorded or is the believed arm's weight and inertia;
-    piece (n,): stretch without a hole, splines[piece][j]: motor angle in it; sign: of the recorded torques (`load_sign`).
+    piece (n,): stretch without a hole, splines[piece][j]: motor angle in it; instant (6,) rad: `_instant_noise`; sign: of the
+    recorded torques (`load_sign`).
     """
 
     log: JointLog
@@ -45,6 +46,7 @@ class Signals:
     measured: Mask
     piece: Index
     splines: tuple[tuple[CubicSpline, ...], ...]
+    instant: Array
     sign: float = 1.0
 
     def moving(self, joint: int) -> Mask:
@@ -86,7 +88,7 @@ def signals_of(log: JointLog, robot: Robot, payload: Hanging, like: Signals | No
     rows = _kept(log)
     viscous, dry = _smoothed(log, piece, qd)[rows], _smoothed(log, piece, rubbing)[rows]
     moves = qd[rows], _smoothed(log, piece, qdd)[rows], direction[rows], tau[rows], viscous, dry
-    found = Signals(log.take(rows), *moves, measured, piece[rows], splines)
+    found = Signals(log.take(rows), *moves, measured, piece[rows], splines, _instant_noise(log))
     sign = load_sign(found) if like is None else like.sign
     return replace(found, tau=np.where(found.measured, sign * found.tau, found.tau), sign=sign)
 
@@ -109,6 +111,14 @@ def load_sign(signals: Signals) -> float:
         scale = float(np.linalg.norm(left[:, 0]) * np.linalg.norm(left[:, 1]))
         total += float(left[:, 0] @ left[:, 1]) / scale if scale > 0 else 0.0
     return -1.0 if total < 0 else 1.0
+
+
+def _instant_noise(log: JointLog) -> Array:
+    """White noise (6,) rad of link less motor angle between all rows of a log, by third differences without the wildest; infinite
+    where neighbours are not recorded."""
+    third = np.diff(log.link - log.q, 3, axis=0)[log.run[3:] == log.run[:-3]] / np.sqrt(20.0)
+    found = [np.sort(one[np.isfinite(one)] ** 2)[: int(0.98 * np.isfinite(one).sum())] for one in third.T]
+    return np.array([max(np.sqrt(one.mean()), rules.LEAST_ENCODER_NOISE) if len(one) > FEW else np.inf for one in found])
 
 
 def _pieces(log: JointLog) -> Index:
@@ -198,7 +208,7 @@ FEW = 120  # instants of a block from which the noise is estimated
 @dataclass(frozen=True)
 class EncoderNoise:
     """white rad; quick and slow wander rad with their memories s; floor rad: scatter from instant to instant; good (n,): rows of
-    the signals that count: neither absent, at rest nor grossly off."""
+    the signals that count: neither absent, at rest nor grossly off; fast rad: share of the white that is no reading's noise."""
 
     white: float
     quick: float
@@ -207,6 +217,7 @@ class EncoderNoise:
     slow_memory: float
     floor: float
     good: Mask
+    fast: float = 0.0
 
 
 def state_columns(signals: Signals, joint: int, broad: bool) -> Array:
@@ -245,7 +256,9 @@ def noise_of(signals: Signals, joint: int) -> EncoderNoise:
     _, _, slow_memory = _likeliest(plain, pieces, time, longest=True)
     step = float(np.median(np.diff(time)))
     floor = np.hypot(white, quick * np.sqrt(1.0 - np.exp(-step / quick_memory)))
-    return EncoderNoise(white, quick, quick_memory, min(slow, rules.ENCODER_ACCURACY), slow_memory, float(floor), good)
+    # Ripple that is faster than the instants kept looks white among them; between all rows it does not.
+    fast = float(np.sqrt(max(white**2 - signals.instant[joint - 1] ** 2, 0.0)))
+    return EncoderNoise(white, quick, quick_memory, min(slow, rules.ENCODER_ACCURACY), slow_memory, float(floor), good, fast)
 
 
 def _left(columns: Array, gap: Array, good: Mask) -> Array:
