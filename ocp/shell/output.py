@@ -121,13 +121,19 @@ class Output:
     @contextmanager
     def grown(self) -> Iterator[Path]:
         """The folder itself, emptied first where it is to be overwritten, for work that a later run goes on with; what is written
-        there goes through `files_added`, so that a run killed at any moment leaves every file listed."""
+        there goes through `files_added`, so that a run killed at any moment leaves every file listed. One that fails before any
+        is there leaves no folder."""
         if self.overwrite and not _empty(self.folder):
             self._refuse_losses()
             self._empty_out()
+        missing = [p for p in (self.folder, *self.folder.parents) if not p.exists()]
         self.folder.mkdir(parents=True, exist_ok=True)
         processes.keeps_what_is_done()
-        yield self.folder
+        try:
+            yield self.folder
+        except BaseException:  # an interrupt too
+            _remove_empty(missing)
+            raise
 
     def _empty_out(self) -> None:
         """Take the folder away under the name of an unfinished one: killed while it is removed, the next run removes the rest."""

@@ -301,6 +301,14 @@ def test_a_disk_that_fills_while_a_night_grows_is_named(tmp_path):
     assert names(tmp_path) == ["night"] and as_written(night / "night.json", night)
 
 
+def test_a_growing_folder_that_gets_no_file_is_not_left_behind(tmp_path):
+    out = tmp_path / "on" / "the" / "way"
+    with pytest.raises(BadInput), reserved(out, False, grows=True) as output, output.grown() as folder:
+        assert folder.is_dir()
+        raise BadInput("no space")
+    assert names(tmp_path) == []
+
+
 def test_a_link_to_itself_is_refused(tmp_path):
     (tmp_path / "loop").symlink_to(tmp_path / "loop")
     for name in ("loop", "loop/plan"):
