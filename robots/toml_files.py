@@ -136,7 +136,8 @@ def _sentence(path: Path, text: str, error: ValidationError, schema: type[BaseMo
         short = " has too few numbers, one" if index is not None and fault["loc"][-1] == index else ""
         return f"{where}: key '{name}'{short} is missing; add it"
     if fault["type"] == "too_long" and isinstance(given, list | tuple):
-        return f"{where}: {name} has {len(given)} entries, expected {fault['ctx']['max_length']}; remove what is too much"
+        point = "write decimals with a point, or " if all(isinstance(one, int | float) for one in given) else ""
+        return f"{where}: {name} has {len(given)} entries, expected {fault['ctx']['max_length']}; {point}remove what is too much"
     if isinstance(given, float) and not math.isfinite(given):
         return f"{where}: {name} = {given}: not a finite number; write a number"
     if fault["type"] == "tuple_type" and isinstance(given, dict):

@@ -197,6 +197,14 @@ def test_a_robot_of_a_thousand_shapes_is_refused(tmp_path):
         load_robot(path)
 
 
+def test_a_decimal_comma_in_a_list_is_told_as_one(tmp_path):
+    """675,0 makes seven numbers of six; with the last taken away, as was asked for, the arm is another one."""
+    text = (Path(CELL).parents[2] / "robots" / "catalogue" / "kr210_r2700_extra.toml").read_text()
+    (tmp_path / "robot.toml").write_text(text.replace("675.0", "675,0"))
+    with pytest.raises(BadInput, match="d_mm has 7 entries, expected 6; write decimals with a point, or remove"):
+        load_robot(tmp_path / "robot.toml")
+
+
 def test_a_signalling_nan_in_a_mesh_is_refused(tmp_path):
     data = bytearray(stl_bytes(True))
     data[84 + 12 : 84 + 16] = (0x7F800001).to_bytes(4, "little")
