@@ -266,6 +266,30 @@ def test_rounded_angles_are_no_speed(tmp_path):
     assert abs(found.active[0].a[0] - 4e-3) < 1e-4
 
 
+def test_recordings_that_lie_between_one_another_are_told_apart_by_run(tmp_path):
+    """Rows are in time order inside a run, no more is asked of them: with those of two in turn every row was a recording."""
+    one, other = moving(4), moving(5)
+    other["run"] = ["b"] * len(other["time_s"])
+    for kind, in_turn in (("turn", True), ("after", False)):
+        mixed = {k: np.concatenate([np.asarray(one[k], object), np.asarray(other[k], object)]) for k in one}
+        order = np.argsort(np.tile(np.arange(len(one["run"])), 2), kind="stable") if in_turn else slice(None)
+        write_csv(tmp_path / f"{kind}.csv", {k: v[order] for k, v in mixed.items()})
+    turn, after = (joint_channel(read_joint_log(tmp_path / f"{k}.csv"), EXTRA, PAYLOADS["grinder"]) for k in ("turn", "after"))
+    assert np.array_equal(turn.theta, after.theta)
+    told = [after.predict(read_joint_log(tmp_path / f"{k}.csv", sealed=True), ()) for k in ("turn", "after")]
+    half = len(one["run"])
+    assert np.array_equal(told[0].corrected[0::2], told[1].corrected[:half])
+    assert np.array_equal(told[0].sigma[1::2], told[1].sigma[half:])
+
+
+def test_a_run_a_row_is_no_recording(tmp_path):
+    columns = moving(4)
+    columns["run"] = list(range(len(columns["run"])))
+    write_csv(tmp_path / "joints.csv", columns)
+    with pytest.raises(BadInput, match="in runs of more than 4, .* record a motion, and name a run in all its rows alike"):
+        read_joint_log(tmp_path / "joints.csv")
+
+
 def test_whole_turns_are_taken_out(tmp_path):
     columns = joint_columns(2, delay=4e-3)
     write_csv(tmp_path / "joints.csv", columns)

@@ -385,10 +385,9 @@ class JointChannel:
         """Link angles (r, m) rad of the m joints of this channel at the instants of a log without link side; inside: where the
         angle and the speed of each of them lie in the range of this channel's log."""
         bare, other = self.with_active(()), self.with_active(active)
-        joints = np.array(list(self.problem.noise))
-        signals = signals_of(sealed, self.problem.robot, self.problem.payload, self.problem.signals)
-        n = len(signals.log)
-        arm = encoder_rows(signals, self.problem.robot, self.problem.payload)
+        joints, order = np.array(list(self.problem.noise)), np.argsort(sealed.run, kind="stable")
+        signals = signals_of(sealed.take(order), self.problem.robot, self.problem.payload, self.problem.signals)
+        arm, n = encoder_rows(signals, self.problem.robot, self.problem.payload), len(order)
         row, joint = np.repeat(np.arange(n), len(joints)), np.tile(joints, n)
         there = replace(self.problem, signals=signals, arm=arm, row=row, joint=joint)
         columns, known = there.nuisance.columns, self.problem.nuisance.names
@@ -403,15 +402,13 @@ class JointChannel:
         inside = self._inside(joints, signals)
         unsure = np.where(inside[:, None], 0.0, np.abs(corrected - baseline))
         sigma = np.sqrt(noise**2 + self._anew(joints, signals.log) ** 2 + unsure**2 + fitted_to)
-        return Sealed(baseline, corrected, sigma, inside=inside)
+        back = np.argsort(order)  # as the file has them
+        return Sealed(baseline[back], corrected[back], sigma[back], inside=inside[back])
 
     def _inside(self, joints: Index, signals: Signals) -> Mask:
         """Rows (n,) in which angle and speed of all joints lie where this channel's log has them."""
-        found, own = np.full(len(signals.log), True), self.problem.signals
-        for values, known in ((signals.log.q, own.log.q), (signals.qd, own.qd)):
-            there, here = values[:, joints - 1], known[:, joints - 1]
-            found &= ((there >= here.min(axis=0)) & (there <= here.max(axis=0))).all(axis=1)
-        return found
+        there, here = (np.hstack([s.log.q[:, joints - 1], s.qd[:, joints - 1]]) for s in (signals, self.problem.signals))
+        return np.asarray(((there >= here.min(axis=0)) & (there <= here.max(axis=0))).all(axis=1))
 
     def _anew(self, joints: Index, log: JointLog) -> Array:
         """One sigma (n, m) rad of the zeros of `joints` in a log: what known runs differ by, where a run is none of them."""

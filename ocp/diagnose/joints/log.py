@@ -16,6 +16,7 @@ LINK = tuple(f"link{i}_deg" for i in range(1, 7))
 TORQUE = tuple(f"tau{i}_Nm" for i in range(1, 7))
 SPEED = tuple(f"qd{i}_deg_s" for i in range(1, 7))
 FEW = 30  # rows of a joint below which nothing can be told of it
+SHORT = 4  # rows of a run up to which it tells no motion
 MOVED = np.radians(1.0)  # rad: an axis that travelled less did not move
 FAR, ALIKE, SHARED = 0.3, 0.3, 0.7  # of the largest step; of their median; of steps: a unit is the same for all
 OTHER_SPEED = 10.0  # times; a slow filter of speeds is nearer, other units farther apart
@@ -28,7 +29,7 @@ APART = np.radians(8.0)  # rad of wander between the two sides: more than any ge
 
 @dataclass(frozen=True)
 class JointLog(Stacked):
-    """n rows in time order inside each run, radians.
+    """n rows in time order inside each run, radians; runs one behind the other but where they are to be predicted.
 
     run (n,): index into `runs`; time (n,) s; q (n, 6) motor side through the gear; link (n, 6) link side, nan where not
     recorded; tau (n, 6) N m motor torque on the link side, nan where not recorded. joints: those (1..6) with a link side that
@@ -49,8 +50,8 @@ class JointLog(Stacked):
 
     @property
     def joints(self) -> tuple[int, ...]:
-        """Joints (1..6) that have a link-side angle on enough rows and moved."""
-        known = np.isfinite(self.link)
+        """Joints (1..6) that have a link-side angle on enough rows, of runs that tell a motion, and moved."""
+        known = np.isfinite(self.link) & (np.bincount(self.run)[self.run] > SHORT)[:, None]
         return tuple(j + 1 for j in range(6) if known[:, j].sum() >= FEW and np.ptp(self.q[known[:, j], j]) > MOVED)
 
 
@@ -72,19 +73,17 @@ def read_joint_log(path: str | Path, mapping: ColumnMapping = OURS, sealed: bool
     turned = [name for name, was, now in zip((*AXES, *LINK), read.T, whole.T, strict=True) if not np.array_equal(was, now, True)]
     q, link = np.hsplit(whole, 2)
     _check_speeds(table, run)
-    if sealed:
-        link = np.full_like(q, np.nan)
+    link = np.full_like(q, np.nan) if sealed else link
     _check_link(table, q, link)
-    log = JointLog(table.path, run, runs, table.numbers["time_s"], q, link, table.stack(TORQUE, np.nan))
-    if turned:
-        told = f"{table.path.name}: {', '.join(turned)} jump by whole turns from row to row, which are taken out"
-        log = replace(log, notices=(told,))
+    told = (f"{table.path.name}: {', '.join(turned)} jump by whole turns from row to row, which are taken out",) * bool(turned)
+    log = JointLog(table.path, run, runs, table.numbers["time_s"], q, link, table.stack(TORQUE, np.nan), told)
     if sealed:
         return log
+    log = log.take(np.argsort(run, kind="stable"))  # recordings may lie between one another, row by row
     if not log.joints:
         raise BadInput(
-            f"{table.path}: no joint has {FEW} rows with a link side and moved by more than {np.degrees(MOVED):g} deg; "
-            "record a motion"
+            f"{table.path}: no joint has {FEW} rows with a link side, in runs of more than {SHORT}, and moved by more than "
+            f"{np.degrees(MOVED):g} deg; record a motion, and name a run in all its rows alike"
         )
     return replace(log, notices=(*log.notices, *_notices(table, log)))
 
@@ -109,8 +108,7 @@ def _unwrapped(angles: Array, run: Index) -> Array:
         for column in out.T:
             rows = np.flatnonzero((run == k) & np.isfinite(column))
             turns = np.round(np.diff(column[rows]) / (2 * np.pi))
-            if turns.any():
-                column[rows[1:]] -= 2 * np.pi * np.cumsum(turns)
+            column[rows[1:]] -= 2 * np.pi * np.cumsum(turns)
     return out
 
 

@@ -57,13 +57,9 @@ class Signals:
 
     def inside(self) -> Mask:
         """Rows (n,) away from the ends of their stretch, where the motor's angle a delay ago (or ahead) was recorded too."""
-        out = np.zeros(len(self.log), bool)
-        for k, of_run in enumerate(self.splines):
-            rows = self.piece == k
-            start, end = of_run[0].x[0], of_run[0].x[-1]
-            margin = min(rules.LONGEST_DELAY, 0.05 * (end - start))
-            out[rows] = (self.log.time[rows] >= start + margin) & (self.log.time[rows] <= end - margin)
-        return out
+        start, end = np.array([of_piece[0].x[[0, -1]] for of_piece in self.splines])[self.piece].T
+        margin = np.minimum(rules.LONGEST_DELAY, 0.05 * (end - start))
+        return np.asarray((self.log.time >= start + margin) & (self.log.time <= end - margin))
 
     def motor(self, joint: int, delay: float, order: int = 0) -> Array:
         """Motor angle (n,) rad of a joint `delay` s before each instant, or its derivative of an order; at the ends of a stretch
@@ -103,10 +99,9 @@ def load_sign(signals: Signals) -> float:
     for j in signals.log.joints:
         if not signals.measured[j - 1]:
             continue
-        gap = signals.log.link[:, j - 1] - signals.log.q[:, j - 1]
-        known = np.isfinite(gap)
-        columns = np.column_stack([np.ones(known.sum()), signals.qd[known, j - 1]])
-        both = np.column_stack([gap[known], signals.tau[known, j - 1]])
+        both = np.column_stack([signals.log.link[:, j - 1] - signals.log.q[:, j - 1], signals.tau[:, j - 1]])
+        known = np.isfinite(both[:, 0])
+        columns, both = np.column_stack([np.ones(known.sum()), signals.qd[known, j - 1]]), both[known]
         left = both - columns @ np.linalg.lstsq(columns, both, rcond=None)[0]
         scale = float(np.linalg.norm(left[:, 0]) * np.linalg.norm(left[:, 1]))
         total += float(left[:, 0] @ left[:, 1]) / scale if scale > 0 else 0.0
@@ -223,11 +218,10 @@ class EncoderNoise:
 def state_columns(signals: Signals, joint: int, broad: bool) -> Array:
     """Functions (n, m) of the state of one joint, of unit size: what a spring, friction, a rotor and a delay give; `broad`: what
     gears and scales give too."""
-    j = joint - 1
-    q, qd, tau = signals.log.q[:, j], signals.qd[:, j], signals.tau[:, j]
-    s = signals.direction[:, j]
+    own = (signals.log.q, signals.qd, signals.direction, signals.tau, signals.qdd, signals.viscous, signals.dry)
+    q, qd, s, tau, qdd, *friction = (a[:, joint - 1] for a in own)
     runs = [(signals.log.run == k).astype(float) for k in np.unique(signals.log.run)]
-    found = [*runs, qd, s, tau, signals.qdd[:, j], *((signals.viscous[:, j], signals.dry[:, j]) if signals.measured[j] else ())]
+    found = [*runs, qd, s, tau, qdd, *(friction if signals.measured[joint - 1] else ())]
     if broad:
         found += [q, q**2, np.cos(2 * q), np.sin(2 * q), tau**3, np.abs(tau) * s]
     columns = np.stack(found, axis=1)
@@ -254,8 +248,7 @@ def noise_of(signals: Signals, joint: int) -> EncoderNoise:
     plain = _left(state_columns(signals, joint, broad=False), gap, good)
     slow = float(np.sqrt(max(float(np.mean(plain**2)) - white**2 - quick**2, rules.LEAST_ENCODER_NOISE**2)))
     _, _, slow_memory = _likeliest(plain, pieces, time, longest=True)
-    step = float(np.median(np.diff(time)))
-    floor = np.hypot(white, quick * np.sqrt(1.0 - np.exp(-step / quick_memory)))
+    floor = np.hypot(white, quick * np.sqrt(1.0 - np.exp(-float(np.median(np.diff(time))) / quick_memory)))
     # Ripple that is faster than the instants kept looks white among them; between all rows it does not.
     fast = float(np.sqrt(max(white**2 - signals.instant[joint - 1] ** 2, 0.0)))
     return EncoderNoise(white, quick, quick_memory, min(slow, rules.ENCODER_ACCURACY), slow_memory, float(floor), good, fast)
@@ -269,11 +262,8 @@ def _left(columns: Array, gap: Array, good: Mask) -> Array:
 def blocks(signals: Signals, rows: Index) -> list[Index]:
     """Places in `rows` of stretches of at most BLOCK instants of one run."""
     run = signals.log.run[rows]
-    found = []
-    for k in np.unique(run):
-        places = np.flatnonzero(run == k)
-        found += list(np.array_split(places, int(np.ceil(len(places) / BLOCK))))
-    return found
+    runs = [np.flatnonzero(run == k) for k in np.unique(run)]
+    return [block for places in runs for block in np.array_split(places, int(np.ceil(len(places) / BLOCK)))]
 
 
 def covariance(time: Array, noise: EncoderNoise) -> Array:
