@@ -290,6 +290,16 @@ def test_a_run_a_row_is_no_recording(tmp_path):
         read_joint_log(tmp_path / "joints.csv")
 
 
+def test_a_log_in_radians_leaves_the_limits_of_the_robot(tmp_path):
+    """All of it in one wrong unit agrees with itself: no gap, of an encoder of a hundredth of an arcsecond."""
+    columns = moving(4)
+    for side in ("q", "link"):
+        columns |= {k: np.radians(np.asarray(v)) for k, v in columns.items() if k.startswith(side)}
+    write_csv(tmp_path / "joints.csv", columns)
+    with pytest.raises(BadInput, match="joints.csv: the axes leave the robot's limits, and would keep them in radians; give deg"):
+        joint_channel(read_joint_log(tmp_path / "joints.csv"), EXTRA, PAYLOADS["grinder"])
+
+
 def test_whole_turns_are_taken_out(tmp_path):
     columns = joint_columns(2, delay=4e-3)
     write_csv(tmp_path / "joints.csv", columns)

@@ -10,6 +10,7 @@ from robots.column_mapping import SEALED, ColumnMapping
 from robots.csv_table import OURS, CsvTable, read_csv_table
 from robots.errors import BadInput
 from robots.pose import Array, Index, Stacked
+from robots.robot import Robot
 
 AXES = tuple(f"q{i}_deg" for i in range(1, 7))
 LINK = tuple(f"link{i}_deg" for i in range(1, 7))
@@ -86,6 +87,13 @@ def read_joint_log(path: str | Path, mapping: ColumnMapping = OURS, sealed: bool
             f"{np.degrees(MOVED):g} deg; record a motion, and name a run in all its rows alike"
         )
     return replace(log, notices=(*log.notices, *_notices(table, log)))
+
+
+def refuse_radians(log: JointLog, robot: Robot) -> None:
+    """Raises BadInput: axes beyond the robot's limits that lie within them once they are taken for radians."""
+    degrees, radians = (np.mean((robot.q_min < q) & (q < robot.q_max)) > 1.0 - WILD for q in (log.q, np.degrees(log.q)))
+    if radians and not degrees:
+        raise BadInput(f"{log.path}: the axes leave the robot's limits, and would keep them in radians; give degrees")
 
 
 def refuse_torque_unit(log: JointLog, weight: Array) -> None:

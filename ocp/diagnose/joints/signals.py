@@ -16,7 +16,7 @@ from scipy.linalg import cho_factor, solve_triangular
 from scipy.optimize import minimize
 
 from ocp.diagnose import rules
-from ocp.diagnose.joints.log import JointLog, refuse_torque_unit
+from ocp.diagnose.joints.log import JointLog, refuse_radians, refuse_torque_unit
 from robots.pose import Array, Index, Mask
 from robots.rigid_body import inverse_dynamics
 from robots.robot import Robot
@@ -78,6 +78,7 @@ def signals_of(log: JointLog, robot: Robot, payload: Hanging, like: Signals | No
     piece = _pieces(log)
     splines, qd, qdd, direction, rubbing = _motion(log, piece)
     measured = np.asarray(np.isfinite(log.tau).any(axis=0))
+    refuse_radians(log, robot)
     load = -inverse_dynamics(robot, payload.mass, payload.com, log.q, qd, qdd)
     refuse_torque_unit(log, load)
     tau = _smoothed(log, piece, np.where(measured, -_filled(log), load))
