@@ -74,7 +74,7 @@ TABLES: dict[str, tuple[Columns, ...]] = {
         Columns(_six("q", "_deg"), True, "axis angles, motor side", "-12.5"),
         Columns(_six("link", "_deg"), False, "link side; any of the six", "-12.498"),
         Columns(_six("tau", "_Nm"), False, "torques there; any of the six", "850.0"),
-        Columns(_six("qd", "_deg_s"), False, "speeds, held against angles and times, from which they are taken", "3.5"),
+        Columns(_six("qd", "_deg_s"), False, "speeds, to check angles and times", "3.5"),
     ),
     "path.csv": (
         Columns(("line",), True, "its points in the order of the feed", "1"),
