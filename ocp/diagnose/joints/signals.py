@@ -217,14 +217,14 @@ class EncoderNoise:
 
 
 def state_columns(signals: Signals, joint: int, broad: bool) -> Array:
-    """Functions (n, m) of the state of one joint, of unit size: what a spring, friction, a rotor and a delay give; `broad`: what
+    """Functions (n, m) of the state of one joint, of unit size: what a spring, friction and a delay give; `broad`: what a rotor,
     gears and scales give too."""
     own = (signals.log.q, signals.qd, signals.direction, signals.tau, signals.qdd, signals.viscous, signals.dry)
     q, qd, s, tau, qdd, *friction = (a[:, joint - 1] for a in own)
     runs = [(signals.log.run == k).astype(float) for k in np.unique(signals.log.run)]
-    found = [*runs, qd, s, tau, qdd, *(friction if signals.measured[joint - 1] else ())]
+    found = [*runs, qd, s, tau, *(friction if signals.measured[joint - 1] else ())]
     if broad:
-        found += [q, q**2, np.cos(2 * q), np.sin(2 * q), tau**3, np.abs(tau) * s]
+        found += [qdd, q, q**2, np.cos(2 * q), np.sin(2 * q), tau**3, np.abs(tau) * s]
     columns = np.stack(found, axis=1)
     size = np.linalg.norm(columns, axis=0)
     return columns[:, size > 0] / size[size > 0]
