@@ -60,7 +60,7 @@ def check_numbers(wanted: AskedRun) -> None:
         raise BadInput(f"--machine '{wanted.machine}' is not one of {', '.join(MACHINES)}")
     refuse_outside(("--seed", wanted.seed, 0, 2**32, ""), ("--size", wanted.size, 0.0, 5.0, ""))
     refuse_outside(("--hz", wanted.hz, 20.0, 2000.0, "1/s"), ("--clock", wanted.clock, 0.0, 1e7, "s"))
-    refuse_outside(("--log-hz", wanted.log_hz, 1.0, wanted.hz, "1/s, the control rate"))
+    refuse_outside(("--log-hz", wanted.log_hz, 1.0, 2000.0, "1/s"))
     if wanted.machine != "drawn" and wanted.size != 1.0:
         raise BadInput(
             f"--size {wanted.size:g}: is of the errors of a drawn machine, --machine {wanted.machine} has none; leave it out"
@@ -171,6 +171,7 @@ def campaign_plan(wanted: AskedRun, cell: Cell) -> CampaignPlan:
     if ladder is None:
         ladder = tuple(round(force * share, 3) for share in (RIGID_LADDER if cell.flange is None else LADDER))
     refuse_outside(*(("--ladder", level, 0.1 * force, 3 * force, "N, about the process force") for level in ladder))
+    refuse_outside(("--log-hz", wanted.log_hz, 1.0, wanted.hz, "1/s, the control rate"))
     if len(ladder) + len(wanted.belts) > MOST_LEVELS:
         raise BadInput(f"--ladder and --belt ask for {len(ladder) + len(wanted.belts)} campaigns, the limit is {MOST_LEVELS}")
     refuse_outside(*(("--belt", belt, -60.0, 60.0, "m/s") for belt in wanted.belts))

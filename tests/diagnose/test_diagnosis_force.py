@@ -334,6 +334,18 @@ def test_a_splice_of_unknown_rate_is_found_among_hundreds(made, tmp_path):
     assert found.active[0].a.tolist() == fitted.a.tolist() == found.ranking[0].active.a.tolist()
 
 
+def test_a_knock_of_thirty_sigmas_is_found_at_its_height(made, tmp_path):
+    """So far off that the fit without it takes every reading of it for gross."""
+
+    def knock(c, F):
+        return 8.0 * (F > 0) * np.exp(-0.5 * (((c["time"] * 8.3 + 0.2) % 1.0 - 0.5) / 0.015) ** 2)
+
+    log, _ = _log(made.base, (Planted(reading=knock),), tmp_path)
+    (found,) = diagnose_channels([_again(made, log)], EFFECTS).active
+    assert found.effect.name == "belt_splice" and found.scanned["clocked"] == 0.0
+    assert found.parameters["N"] == pytest.approx(8.0, rel=0.05)
+
+
 def test_held_out_errors_are_those_of_a_refit(made, tmp_path):
     log, _ = _log(made.base, (PLANTED["wheel_wear"][0],), tmp_path)
     channel = _again(made, log).with_active((_active("wheel_wear"),))

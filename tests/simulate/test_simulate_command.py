@@ -399,6 +399,7 @@ def test_a_program_that_drives_into_the_wheel_is_infeasible(plan, tmp_path):
         (("--seed", "-1"), "--seed -1"),
         (("--size", "9"), "--size 9"),
         (("--log-hz", "nan"), "--log-hz nan"),
+        (("--hz", "20", "--poses", "3"), "give 4 to 2000"),  # not of the rows of a log that nobody asked for
         (("--size", "3", "--machine", "believed"), "--machine believed has none; leave it out"),
         (("--effect", "backlash:5=-2e-4"), "is negative, which it never is"),
         (("--cell", "absent.toml"), "absent.toml"),

@@ -49,12 +49,12 @@ class CorrelatedNoise:
 
     def information(self) -> float:
         """Share of a normal law's information that a sample of Student's t with the same scale carries."""
-        return 1.0 - 2.0 / (self.freedom + 3.0)
+        return (self.freedom + 1.0) / (self.freedom + 3.0)
 
-    def even(self) -> "CorrelatedNoise":
-        """Normal noise that tells as much of what is slow against its samples."""
-        told = self.information()
-        return replace(self, sigma=self.sigma / np.sqrt(told), freedom=np.inf, usual=self.usual * told)
+    def far(self) -> float:
+        """Weight of a sample sqrt(2 freedom) scales off. Scores, weight times residual, have fallen off there from where they are
+        largest, at sqrt(freedom)."""
+        return (self.freedom + 1.0) / (3.0 * self.freedom)
 
     def samples_each(self, step: float) -> float:
         """How many samples `step` s apart count as one independent sample for a mean over a long time."""
@@ -321,9 +321,17 @@ class ReadingNoise:
         return np.asarray(sum(k.noise.information() * sensitivity[k.rows].T @ sensitivity[k.rows] for k in self.kinds.values()))
 
     def even(self) -> "ReadingNoise":
-        """Normal noise that tells as much, a weight of one for every row."""
-        kinds = {contact: replace(kind, noise=kind.noise.even()) for contact, kind in self.kinds.items()}
-        return ReadingNoise(self.base, np.ones(len(self.base)), kinds)
+        """One weight, what a sample tells (Fisher), for all rows but those far off, which keep their own: they would score the
+        less the farther they are.
+
+        Whitened residuals times sqrt(weight / even weight) are scores of unit variance that change by what is added to the
+        readings as residuals with these weights do. With their own they would change by less: what adds to noise of its own sign
+        has the smaller weights (docs/diagnosis_force.md, eq. 10)."""
+        weight = self.weight.copy()
+        for kind in self.kinds.values():
+            own, noise = weight[kind.rows], kind.noise
+            weight[kind.rows] = np.where(own >= noise.far(), noise.information(), own)
+        return replace(self, weight=weight)
 
     def sigma(self) -> Array:
         """One standard deviation (n,) N of each reading, gross ones apart."""
@@ -420,17 +428,8 @@ class Whitener:
         return np.concatenate([s.short @ columns[s.rows] for s in self.stretches])
 
     def even(self) -> "Whitener":
-        """The filter for normal noise that tells as much; `scores` are residuals that go with it."""
+        """The filter for the noise's even weights."""
         return Whitener.of(self.noise.even(), self.blocks)
-
-    def scores(self, whitened: Array) -> Array:
-        """Whitened residuals (n,) as Student's t scores them, over the root of its information: of unit variance, and changed by
-        what is added to the readings as residuals that `even` whitens are. With their weights they would change by less, as what
-        adds to noise of its own sign has the smaller ones (docs/diagnosis_force.md, eq. 10)."""
-        found = np.sqrt(self.noise.weight) * whitened
-        for kind in self.noise.kinds.values():
-            found[kind.rows] /= np.sqrt(kind.noise.information())
-        return found
 
     def back(self, whitened: Array) -> Array:
         """The transpose of `whole` on columns (n, m): scores of unwhitened columns are their products with it."""

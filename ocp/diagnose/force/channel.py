@@ -79,10 +79,11 @@ class ForceChannel:
 
     @cached_property
     def scored(self) -> EffectFit:
-        """The fit in rows of one weight, residuals as their own noise scores them: linear in what is not yet fitted too."""
+        """The fit in rows of even weights, residuals as scores: linear in what is not yet fitted too."""
         fit, even = self.fit, tuple(w.even() for w in self.fit.whiteners)
-        scores = np.concatenate([w.scores(r) for w, r in zip(fit.whiteners, np.split(fit.residual, len(even)), strict=True)])
-        return replace(fit, **vars(linear(self.problem, fit.z, fit.at, even)) | {"residual": scores}, whiteners=even)
+        share = np.concatenate([w.noise.weight / e.noise.weight for w, e in zip(fit.whiteners, even, strict=True)])
+        scores = {"residual": fit.residual * np.sqrt(share)}
+        return replace(fit, **vars(linear(self.problem, fit.z, fit.at, even)) | scores, whiteners=even)
 
     @property
     def trains(self) -> SpliceTrains:

@@ -386,15 +386,14 @@ class JointChannel:
         angle and the speed of each of them lie in the range of this channel's log."""
         bare, other = self.with_active(()), self.with_active(active)
         joints, order = np.array(list(self.problem.noise)), np.argsort(sealed.run, kind="stable")
-        signals = signals_of(sealed.take(order), self.problem.robot, self.problem.payload, self.problem.signals)
+        asked = replace(sealed.take(order), link=np.full_like(sealed.link, np.nan))  # of a measured log too every row
+        signals = signals_of(asked, self.problem.robot, self.problem.payload, self.problem.signals)
         arm, n = encoder_rows(signals, self.problem.robot, self.problem.payload), len(order)
         row, joint = np.repeat(np.arange(n), len(joints)), np.tile(joints, n)
         there = replace(self.problem, signals=signals, arm=arm, row=row, joint=joint)
-        columns, known = there.nuisance.columns, self.problem.nuisance.names
-        place = there.places_in(known)
-        motor = signals.log.q[:, joints - 1]
+        columns, place = there.nuisance.columns, there.places_in(self.problem.nuisance.names)
         told = [columns @ (place @ c.theta) + shift_of(there, c.active) for c in (bare, other)]
-        baseline, corrected = (motor + shift.reshape(n, -1) for shift in told)
+        baseline, corrected = (signals.log.q[:, joints - 1] + shift.reshape(n, -1) for shift in told)
         noise = np.array([np.linalg.norm([n.quick, n.slow, n.fast]) for n in self.problem.noise.values()])
         variance, change = _unsure_of(other, self.problem, there, columns @ place, rubs=True)
         fitted_to = (variance + change**2).reshape(n, -1)

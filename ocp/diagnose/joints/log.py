@@ -51,8 +51,8 @@ class JointLog(Stacked):
 
     @property
     def joints(self) -> tuple[int, ...]:
-        """Joints (1..6) that have a link-side angle on enough rows, of runs that tell a motion, and moved."""
-        known = np.isfinite(self.link) & (np.bincount(self.run)[self.run] > SHORT)[:, None]
+        """Joints (1..6) that have a link-side angle on enough rows and moved."""
+        known = np.isfinite(self.link)
         return tuple(j + 1 for j in range(6) if known[:, j].sum() >= FEW and np.ptp(self.q[known[:, j], j]) > MOVED)
 
 
@@ -74,7 +74,7 @@ def read_joint_log(path: str | Path, mapping: ColumnMapping = OURS, sealed: bool
     turned = [name for name, was, now in zip((*AXES, *LINK), read.T, whole.T, strict=True) if not np.array_equal(was, now, True)]
     q, link = np.hsplit(whole, 2)
     _check_speeds(table, run)
-    link = np.full_like(q, np.nan) if sealed else link
+    link = np.where(sealed | (np.bincount(run)[run] <= SHORT)[:, None], np.nan, link)
     _check_link(table, q, link)
     told = (f"{table.path.name}: {', '.join(turned)} jump by whole turns from row to row, which are taken out",) * bool(turned)
     log = JointLog(table.path, run, runs, table.numbers["time_s"], q, link, table.stack(TORQUE, np.nan), told)
@@ -90,9 +90,11 @@ def read_joint_log(path: str | Path, mapping: ColumnMapping = OURS, sealed: bool
 
 
 def refuse_radians(log: JointLog, robot: Robot) -> None:
-    """Raises BadInput: axes beyond the robot's limits that lie within them once they are taken for radians."""
-    degrees, radians = (np.mean((robot.q_min < q) & (q < robot.q_max)) > 1.0 - WILD for q in (log.q, np.degrees(log.q)))
-    if radians and not degrees:
+    """Raises BadInput: axes well beyond the robot's limits that lie within them once they are taken for radians."""
+    shares = [
+        np.mean((robot.q_min - more < q) & (q < robot.q_max + more)) for more, q in ((APART, log.q), (0.0, np.degrees(log.q)))
+    ]
+    if shares[0] <= 1.0 - WILD < shares[1]:
         raise BadInput(f"{log.path}: the axes leave the robot's limits, and would keep them in radians; give degrees")
 
 
@@ -115,8 +117,7 @@ def _unwrapped(angles: Array, run: Index) -> Array:
     for k in range(run.max(initial=-1) + 1):
         for column in out.T:
             rows = np.flatnonzero((run == k) & np.isfinite(column))
-            turns = np.round(np.diff(column[rows]) / (2 * np.pi))
-            column[rows[1:]] -= 2 * np.pi * np.cumsum(turns)
+            column[rows[1:]] -= 2 * np.pi * np.cumsum(np.round(np.diff(column[rows]) / (2 * np.pi)))
     return out
 
 
@@ -143,12 +144,11 @@ def _check_link(table: CsvTable, q: Array, link: Array) -> None:
 
 def _check_speeds(table: CsvTable, run: Index) -> None:
     """Raises BadInput: speeds of which the angles' steps are another multiple than of times in seconds."""
-    for column, angle in zip(SPEED, AXES, strict=True):
-        if column not in table.numbers:
-            continue
-        speed, inside = table.numbers[column], np.diff(run) == 0
-        went = np.diff(table.numbers[angle])[inside]
-        told = (0.5 * (speed[1:] + speed[:-1]) * np.diff(table.numbers["time_s"]))[inside]
+    order = np.argsort(run, kind="stable")
+    inside, time = np.diff(run[order]) == 0, table.numbers["time_s"][order]
+    for column, angle in ((c, a) for c, a in zip(SPEED, AXES, strict=True) if c in table.numbers):
+        speed, along = table.numbers[column][order], table.numbers[angle][order]
+        went, told = np.diff(along)[inside], (0.5 * (speed[1:] + speed[:-1]) * np.diff(time))[inside]
         far = np.isfinite(told) & (np.abs(went) > FAR * np.abs(went).max(initial=0.0))
         if np.count_nonzero(far) < FEW or np.abs(went[far]).sum() < np.degrees(MOVED):
             continue
@@ -157,7 +157,7 @@ def _check_speeds(table: CsvTable, run: Index) -> None:
         alike = np.mean(np.abs(ratio - usual) < ALIKE * abs(usual))  # noise of either, or an arm that stands, scatters them
         if usual > 0 and alike > SHARED and not 1.0 / OTHER_SPEED < usual < OTHER_SPEED:
             raise table.refuse(
-                int(np.nanargmax(np.abs(speed))),
+                int(order[np.nanargmax(np.abs(speed))]),
                 column,
                 f"makes {usual:.3g} times the way by which {angle} changes over time_s; give deg/s, and times in seconds",
             )

@@ -22,6 +22,7 @@ from robots.rigid_body import inverse_dynamics
 from robots.robot import Robot
 from robots.tracker_readings import Hanging
 
+MEDIAN_OF_ONE = 0.4549  # of chi-square with one degree of freedom, for scales from medians
 MOST = 1500  # readings kept of a log: more of them are no more independent, and the search is linear in them
 
 
@@ -79,12 +80,12 @@ def signals_of(log: JointLog, robot: Robot, payload: Hanging, like: Signals | No
     splines, qd, qdd, direction, rubbing = _motion(log, piece)
     measured = np.asarray(np.isfinite(log.tau).any(axis=0))
     refuse_radians(log, robot)
-    load = -inverse_dynamics(robot, payload.mass, payload.com, log.q, qd, qdd)
-    refuse_torque_unit(log, load)
-    tau = _smoothed(log, piece, np.where(measured, -_filled(log), load))
+    weight, load = (-inverse_dynamics(robot, payload.mass, payload.com, log.q, *of) for of in ((0 * qd, 0 * qd), (qd, qdd)))
+    refuse_torque_unit(log, weight)
+    tau = np.where(measured, -_smoothed(log, piece, _filled(log)), load)
     rows = _kept(log)
-    viscous, dry = _smoothed(log, piece, qd)[rows], _smoothed(log, piece, rubbing)[rows]
-    moves = qd[rows], _smoothed(log, piece, qdd)[rows], direction[rows], tau[rows], viscous, dry
+    viscous, dry, pushed = (_smoothed(log, piece, of)[rows] for of in (qd, rubbing, qdd))
+    moves = qd[rows], np.where(measured, pushed, qdd[rows]), direction[rows], tau[rows], viscous, dry
     found = Signals(log.take(rows), *moves, measured, piece[rows], splines, _instant_noise(log))
     sign = load_sign(found) if like is None else like.sign
     return replace(found, tau=np.where(found.measured, sign * found.tau, found.tau), sign=sign)
@@ -110,11 +111,13 @@ def load_sign(signals: Signals) -> float:
 
 
 def _instant_noise(log: JointLog) -> Array:
-    """White noise (6,) rad of link less motor angle between all rows of a log, by third differences without the wildest; infinite
+    """White noise (6,) rad of link less motor angle between all rows of a log, by the median of third differences; infinite
     where neighbours are not recorded."""
     third = np.diff(log.link - log.q, 3, axis=0)[log.run[3:] == log.run[:-3]] / np.sqrt(20.0)
-    found = [np.sort(one[np.isfinite(one)] ** 2)[: int(0.98 * np.isfinite(one).sum())] for one in third.T]
-    return np.array([max(np.sqrt(one.mean()), rules.LEAST_ENCODER_NOISE) if len(one) > FEW else np.inf for one in found])
+    found = [one[np.isfinite(one)] ** 2 for one in third.T]
+    return np.maximum(
+        [np.sqrt(np.median(d) / MEDIAN_OF_ONE) if len(d) > FEW else np.inf for d in found], rules.LEAST_ENCODER_NOISE
+    )
 
 
 def _pieces(log: JointLog) -> Index:
@@ -250,8 +253,8 @@ def noise_of(signals: Signals, joint: int) -> EncoderNoise:
     slow = float(np.sqrt(max(float(np.mean(plain**2)) - white**2 - quick**2, rules.LEAST_ENCODER_NOISE**2)))
     _, _, slow_memory = _likeliest(plain, pieces, time, longest=True)
     floor = np.hypot(white, quick * np.sqrt(1.0 - np.exp(-float(np.median(np.diff(time))) / quick_memory)))
-    # Ripple that is faster than the instants kept looks white among them; between all rows it does not.
-    fast = float(np.sqrt(max(white**2 - signals.instant[joint - 1] ** 2, 0.0)))
+    # Ripple that is faster than the instants kept looks white among them; between all rows it does not. A tenth is chance.
+    fast = float(np.sqrt(more)) if (more := white**2 - signals.instant[joint - 1] ** 2) > 0.1 * white**2 else 0.0
     return EncoderNoise(white, quick, quick_memory, min(slow, rules.ENCODER_ACCURACY), slow_memory, float(floor), good, fast)
 
 
