@@ -90,11 +90,10 @@ def read_joint_log(path: str | Path, mapping: ColumnMapping = OURS, sealed: bool
 
 
 def refuse_radians(log: JointLog, robot: Robot) -> None:
-    """Raises BadInput: axes well beyond the robot's limits that lie within them once they are taken for radians."""
-    shares = [
-        np.mean((robot.q_min - more < q) & (q < robot.q_max + more)) for more, q in ((APART, log.q), (0.0, np.degrees(log.q)))
-    ]
-    if shares[0] <= 1.0 - WILD < shares[1]:
+    """Raises BadInput: axes clearly beyond the robot's limits that lie within them once they are taken for radians."""
+    low, high = robot.q_min - MOVED, robot.q_max + MOVED
+    degrees, radians = (np.mean((low < q) & (q < high)) > 1.0 - WILD for q in (log.q, np.degrees(log.q)))
+    if radians and not degrees:
         raise BadInput(f"{log.path}: the axes leave the robot's limits, and would keep them in radians; give degrees")
 
 

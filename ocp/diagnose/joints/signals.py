@@ -22,7 +22,6 @@ from robots.rigid_body import inverse_dynamics
 from robots.robot import Robot
 from robots.tracker_readings import Hanging
 
-MEDIAN_OF_ONE = 0.4549  # of chi-square with one degree of freedom, for scales from medians
 MOST = 1500  # readings kept of a log: more of them are no more independent, and the search is linear in them
 
 
@@ -114,10 +113,9 @@ def _instant_noise(log: JointLog) -> Array:
     """White noise (6,) rad of link less motor angle between all rows of a log, by the median of third differences; infinite
     where neighbours are not recorded."""
     third = np.diff(log.link - log.q, 3, axis=0)[log.run[3:] == log.run[:-3]] / np.sqrt(20.0)
-    found = [one[np.isfinite(one)] ** 2 for one in third.T]
-    return np.maximum(
-        [np.sqrt(np.median(d) / MEDIAN_OF_ONE) if len(d) > FEW else np.inf for d in found], rules.LEAST_ENCODER_NOISE
-    )
+    found = [np.abs(one[np.isfinite(one)]) for one in third.T]
+    scale = [1.4826 * np.median(one) if len(one) > FEW else np.inf for one in found]
+    return np.maximum(scale, rules.LEAST_ENCODER_NOISE)
 
 
 def _pieces(log: JointLog) -> Index:
