@@ -334,6 +334,18 @@ def test_a_splice_of_unknown_rate_is_found_among_hundreds(made, tmp_path):
     assert found.active[0].a.tolist() == fitted.a.tolist() == found.ranking[0].active.a.tolist()
 
 
+def test_evidence_sees_all_of_what_is_not_fitted_yet(made):
+    """A knock of the noise's size, among gross readings: with the fit's weights rows show three quarters of it."""
+    log, rng = made.channel.log, np.random.default_rng(0)
+    knock = 0.2 * log.contact * (np.arange(len(log)) % 12 < 2)
+    wild = (rng.random(len(log)) < 0.02) * rng.uniform(1.5, 8.0, len(log)) * rng.choice([-1.0, 1.0], len(log))
+    channel = _again(made, replace(log, fn=log.fn + knock + wild))
+    columns = [fit.whiteners[0].whole(knock[:, None])[:, 0] for fit in (channel.scored, channel.fit)]
+    score, weighed = (fit.residual[: len(log)] @ c for fit, c in zip((channel.scored, channel.fit), columns, strict=True))
+    assert score == pytest.approx(weighed, rel=0.05)  # the same slope of the likelihood, over what it changes by
+    assert 0.88 < score / (columns[0] @ columns[0]) < 1.12 and weighed / (columns[1] @ columns[1]) < 0.8
+
+
 def test_a_knock_of_thirty_sigmas_is_found_at_its_height(made, tmp_path):
     """So far off that the fit without it takes every reading of it for gross."""
 
