@@ -242,6 +242,8 @@ def test_an_arm_that_starts_briskly_bends_at_once(tmp_path):
     write_csv(tmp_path / "joints.csv", columns)
     channel = joint_channel(read_joint_log(tmp_path / "joints.csv"), EXTRA, hung, stated=True)
     assert channel.gap().std() * SCALE["arcsec"] < 1.2
+    springs = {n: c for n, c in zip(channel.problem.nuisance.names, channel.theta, strict=True) if n.startswith("spring")}
+    assert [springs[f"spring {j}"] * EXTRA.stiffness[j - 1] for j in (1, 2, 3)] == pytest.approx([1.0] * 3, rel=0.05)
     assert all(noise.fast < 0.4 * noise.white for noise in channel.problem.noise.values())
 
 

@@ -394,7 +394,7 @@ class JointChannel:
         columns, place = there.nuisance.columns, there.places_in(self.problem.nuisance.names)
         told = [columns @ (place @ c.theta) + shift_of(there, c.active) for c in (bare, other)]
         baseline, corrected = (signals.log.q[:, joints - 1] + shift.reshape(n, -1) for shift in told)
-        noise = np.array([np.linalg.norm([n.quick, n.slow, n.fast]) for n in self.problem.noise.values()])
+        noise = np.array([np.linalg.norm([one.quick, one.slow, one.fast]) for one in self.problem.noise.values()])
         variance, change = _unsure_of(other, self.problem, there, columns @ place, rubs=True)
         fitted_to = (variance + change**2).reshape(n, -1)
         # Where nobody measured, what the effects change is not known better than by its own size.

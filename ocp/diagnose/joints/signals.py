@@ -17,6 +17,7 @@ from scipy.optimize import minimize
 
 from ocp.diagnose import rules
 from ocp.diagnose.joints.log import JointLog, refuse_radians, refuse_torque_unit
+from robots.gravity import weight_torques
 from robots.pose import Array, Index, Mask
 from robots.rigid_body import inverse_dynamics
 from robots.robot import Robot
@@ -31,9 +32,9 @@ class Signals:
 
     log: those rows; qd (n, 6) rad/s of the motor side; direction (n, 6) sign of the last motion; tau (n, 6) N m load torque,
     positive along +q (the motor's with the other sign); viscous (n, 6) rad/s, dry (n, 6), qdd (n, 6) rad/s^2: speed, sign of the
-    motion, acceleration, smoothed as tau is; measured (6,) whether tau was recorded or is the believed arm's weight and inertia;
-    piece (n,): stretch without a hole, splines[piece][j]: motor angle in it; instant (6,) rad: `_instant_noise`; sign: of the
-    recorded torques (`load_sign`).
+    motion, acceleration, smoothed where tau was recorded; measured (6,) whether it was, or is the believed arm's weight and
+    inertia; piece (n,): stretch without a hole, splines[piece][j]: motor angle in it; instant (6,) rad: `_instant_noise`; sign:
+    of the recorded torques (`load_sign`).
     """
 
     log: JointLog
@@ -79,8 +80,8 @@ def signals_of(log: JointLog, robot: Robot, payload: Hanging, like: Signals | No
     splines, qd, qdd, direction, rubbing = _motion(log, piece)
     measured = np.asarray(np.isfinite(log.tau).any(axis=0))
     refuse_radians(log, robot)
-    weight, load = (-inverse_dynamics(robot, payload.mass, payload.com, log.q, *of) for of in ((0 * qd, 0 * qd), (qd, qdd)))
-    refuse_torque_unit(log, weight)
+    refuse_torque_unit(log, weight_torques(robot, log.q, payload.mass, payload.com))
+    load = -inverse_dynamics(robot, payload.mass, payload.com, log.q, qd, qdd)
     tau = np.where(measured, -_smoothed(log, piece, _filled(log)), load)
     rows = _kept(log)
     viscous, dry, pushed = (_smoothed(log, piece, of)[rows] for of in (qd, rubbing, qdd))
