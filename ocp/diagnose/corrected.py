@@ -17,11 +17,10 @@ from ocp.diagnose.engine.channel_system import Channel
 from ocp.diagnose.force.prior import posterior_of
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.diagnose.verdict.answer import Answer
-from ocp.diagnose.verdict.patching import formula_of, is_patch
 from ocp.diagnose.verdict.shrinkage import Shrinkage
 from ocp.effects.cell_effects import table_of
 from ocp.effects.effect import Active, scan_key
-from ocp.effects.patch import patch_table
+from ocp.effects.patch import is_patch, patch_table
 from ocp.model.calibrated_for import made_for
 from ocp.model.cell import cell_tables_for
 from robots.calibration.carried import FORCE, carried_over
@@ -55,10 +54,10 @@ def write_corrected_cell(folder: Path, out: Path, answer: Answer) -> None:
     total = summed(data.believed, answer.written)
     if named := [table_of(one) for one in total if not is_patch(one.effect)]:
         tables["effects"] = named
-    patches = [patch_table(one, formula_of(one), "believed") for one in total if is_patch(one.effect)]
+    patches = [patch_table(one, "believed") for one in total if is_patch(one.effect)]
     if answer.patch is not None:
         told = promise_words(answer.patch.shrinkage, bool(answer.written))
-        patches += [patch_table(one, formula_of(one), told) for one in answer.patch.patches]
+        patches += [patch_table(one, told) for one in answer.patch.patches]
     if patches:
         tables["patches"] = patches
     text = f"# {source.name} with what ocp.diagnose found\n" + toml_text(tables)

@@ -11,7 +11,7 @@ from pydantic import AfterValidator, AliasChoices, BaseModel, BeforeValidator, C
 from ocp.diagnose.engine.findings import Diagnosis, Location, Ranked
 from ocp.diagnose.rules import LEAST_BUDGET, LISTED, MOST_BUDGET, MOST_LISTED
 from ocp.diagnose.verdict.answer import Answer, Patched, SignalGap, figures
-from ocp.diagnose.verdict.patching import formula_of
+from ocp.effects.patch import formula_of
 
 
 def rounded(value: float, digits: int = 6) -> float:

@@ -268,7 +268,7 @@ def make_patch(
     return Active(effect, joint, np.zeros(count), scanned, np.eye(count) * size**2)
 
 
-def patch_table(patch: Active, formula: str, promise: str) -> dict[str, Any]:
+def patch_table(patch: Active, promise: str) -> dict[str, Any]:
     """The `[[patches]]` table of a fitted patch."""
     source, where, *_ = patch.effect.name.removeprefix(PATCH).split("|")
     table: dict[str, Any] = {"signal": patch.scanned["signal"], "where": where, "kernel": source}
@@ -278,7 +278,7 @@ def patch_table(patch: Active, formula: str, promise: str) -> dict[str, Any]:
     table["covariance"] = [[float(v) for v in row] for row in patch.covariance]
     table["range"] = {name: [low, high] for name, low, high in patch.scanned["range"]}
     table |= {"about": list(patch.scanned["about"])} if "about" in patch.scanned else {}
-    return table | {"formula": formula, "promise": promise}
+    return table | {"formula": formula_of(patch), "promise": promise}
 
 
 def patch_of(table: Mapping[str, Any]) -> Active:
@@ -346,3 +346,64 @@ def lengths_outside(patch: Active, conditions: Mapping[str, Array]) -> Array:
         off = np.maximum(np.maximum(values - high, low - values), 0.0) / length[name]
         total = total + off**2
     return np.sqrt(total)
+
+
+def is_patch(effect: Effect) -> bool:
+    """Whether an effect is a patch."""
+    return effect.name.startswith(PATCH)
+
+
+MOST_TERMS = 4  # of a formula that are told
+HINTS = {
+    "joint ripple": "a ripple of the gear with a broken number of waves a turn",
+    "joint motor": "an error of the motor's encoder or its coupling",
+    "joint approach": "play that differs over the turn",
+    "joint approach wait": "an axis that comes to rest after its stop; an arm that moves on has nothing of it",
+    "joint approach tau": "play or friction that grows with the load",
+    "joint tau": "a spring that is not linear",
+    "joint tau ripple": "teeth that give with the load",
+    "joint payload": "something that the payload brings with it",
+    "joint temperature": "warmth of the drive",
+    "joint time": "something that settles or creeps",
+    "axis q": "an axis that tilts as it turns: a bearing, or what it stands on",
+    "axis moment": "an axis that tilts under weight: its bearing gives",
+    "axis temperature": "an axis that tilts with warmth",
+    "beam range": "the instrument's own scale",
+    "beam azimuth": "the instrument's own circle",
+    "beam elevation": "the instrument's own circle",
+    "force s": "form or stock of the blade along its lines",
+    "force s travel": "a guide that sticks along its way",
+    "force line": "form or stock of the blade across its lines",
+    "force travel": "what the belt drags along",
+    "force feed": "what gives way or is ground off while the blade moves by",
+    "force setpoint": "a flange that does not bring what it is told",
+    "force belt": "a belt whose cut, or whose drag on the cover, goes with its speed",
+    "force q": "hoses or cables that pull as the arm turns",
+    "force clock": "a belt that wears, or an arm that warms up",
+    "force temperature": "warmth of the hall",
+    "sensor": "what touches the sensor: friction shows nothing of it",
+    "force wheel_temperature": "warmth of the wheel's cover",
+}
+
+
+def hint_of(patch: Active) -> str:
+    """What such a dependence may come from, in words."""
+    source, where, *_ = patch.effect.name.removeprefix(PATCH).split("|")
+    conditions = [part.rstrip("123456").removesuffix(" wave").removesuffix(" period") for part in where.split(" x ")]
+    for kept in (conditions, conditions[:1], []):
+        if hint := HINTS.get(" ".join([source.split()[0], *kept])):
+            return hint
+    return "not known"
+
+
+def formula_of(patch: Active) -> str:
+    """The hint, and the largest terms of a fitted patch, urad, um or N."""
+    at_contact = patch.scanned["source"] in ON_CONTACT
+    unit = "N" if at_contact else "urad" if patch.joint else "um"
+    features, a = patch.scanned["features"], (1.0 if at_contact else 1e6) * np.asarray(patch.a, float)
+    names = [*features] * (len(a) // len(features))
+    order = np.argsort(-np.abs(a))
+    source, where, *_ = patch.effect.name.removeprefix(PATCH).split("|")
+    what = f"{source} of joint {patch.joint}" if patch.joint and source != "joint" else f"{source} {patch.joint or ''}".strip()
+    terms = " ".join(f"{a[k]:+.3g} {names[k]}" for k in order[:MOST_TERMS])
+    return f"{what} over {where} (perhaps {hint_of(patch)}): {terms}{' ..' if len(a) > MOST_TERMS else ''} {unit}"

@@ -217,7 +217,7 @@ def test_a_patch_fades_where_nothing_was_measured(clean):
 
 def test_a_patch_survives_a_cell_and_a_process():
     one = example()
-    table = patch_table(one, "in words", "20 %")
+    table = patch_table(one, "20 %")
     back, effect = patch_of(table), patch_effect_of(table)
     np.testing.assert_allclose(back.a, one.a)
     np.testing.assert_allclose(effect.active.covariance, one.covariance)
@@ -258,7 +258,7 @@ def test_a_patch_survives_a_cell_and_a_process():
 )
 def test_a_table_that_is_no_patch_is_refused(change, words):
     with pytest.raises(ValueError, match=words):
-        patch_of(patch_table(example(), "", "") | change)
+        patch_of(patch_table(example(), "") | change)
 
 
 def test_features_are_read_as_written():

@@ -20,11 +20,11 @@ from ocp.diagnose.rules import CARRIED_PATCH, LEADS
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.diagnose.verdict.answer import Followed, Patched
 from ocp.diagnose.verdict.diagnosis import errors_of_folds
-from ocp.diagnose.verdict.patching import is_patch, read_beside, unfaded, with_further
+from ocp.diagnose.verdict.patching import read_beside, unfaded, with_further
 from ocp.diagnose.verdict.shrinkage import Shrinkage, promised_by_kind
 from ocp.effects.effect import Active, effects_key
 from ocp.effects.engine.readings import displaced, has_columns, motion
-from ocp.effects.patch import lengths_outside
+from ocp.effects.patch import is_patch, lengths_outside
 from robots.calibration.residuals import points
 from robots.errors import Infeasible
 from robots.pose import Array, Mask

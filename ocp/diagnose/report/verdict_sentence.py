@@ -10,9 +10,9 @@ from typing import Any
 from ocp.diagnose.engine.findings import Diagnosis, Location, Name
 from ocp.diagnose.rules import LEADS
 from ocp.diagnose.verdict.answer import Answer, Patched, SignalGap, figures, there_of
-from ocp.diagnose.verdict.patching import formula_of
 from ocp.diagnose.verdict.shrinkage import ANOTHER_DAY, NONE, Shrinkage
 from ocp.effects.catalogue import library
+from ocp.effects.patch import formula_of
 from ocp.report.section import Headline
 from robots.calibration.identifiability import listed
 

@@ -9,9 +9,9 @@ import numpy as np
 from ocp.diagnose.dataset import DataSet
 from ocp.diagnose.engine.channel_system import Channel
 from ocp.diagnose.engine.findings import Alternative, Diagnosis, Experiment
-from ocp.diagnose.verdict.patching import is_patch
 from ocp.diagnose.verdict.shrinkage import ANOTHER_DAY, Shrinkage
 from ocp.effects.effect import Active
+from ocp.effects.patch import is_patch
 from robots.pose import Array
 
 

@@ -19,11 +19,9 @@ from ocp.diagnose.engine.findings import Alternative, Name
 from ocp.diagnose.engine.kernels import conditions_by_name, is_periodic, kernels, middle_of
 from ocp.diagnose.engine.linearisation import Linearisation, kernel_families
 from ocp.diagnose.engine.pool import given, make_pool, scan
-from ocp.effects.effect import Active, Effect
-from ocp.effects.patch import ON_ARM, ON_BEAM, ON_CONTACT, PATCH, conditions_of, make_patch
+from ocp.effects.effect import Active
+from ocp.effects.patch import ON_ARM, ON_BEAM, PATCH, conditions_of, is_patch, make_patch
 from robots.errors import Infeasible
-
-MOST_TERMS = 4  # of a formula that are told
 
 
 def as_patch(name: Name, variant: int, size: float, channel: Channel) -> Active | None:
@@ -126,11 +124,6 @@ def read_beside(one: Active) -> Active:
     return make_patch("sensor", where, 0, one.scanned["features"], limits, float(size), one.scanned["signal"])
 
 
-def is_patch(effect: Effect) -> bool:
-    """Whether an effect is a patch."""
-    return effect.name.startswith(PATCH)
-
-
 def seen_by(signal: str, alternatives: Sequence[Alternative]) -> tuple[Alternative, ...]:
     """Alternatives as one signal sees them: without the patches of others."""
     return tuple(
@@ -142,58 +135,3 @@ def seen_by(signal: str, alternatives: Sequence[Alternative]) -> tuple[Alternati
 def unfaded(active: Sequence[Active]) -> tuple[Active, ...]:
     """The same effects with patches that stay beyond what was measured as they are at its edge."""
     return tuple(replace(a, scanned={**a.scanned, "stays": True}) if is_patch(a.effect) else a for a in active)
-
-
-HINTS = {
-    "joint ripple": "a ripple of the gear with a broken number of waves a turn",
-    "joint motor": "an error of the motor's encoder or its coupling",
-    "joint approach": "play that differs over the turn",
-    "joint approach wait": "an axis that comes to rest after its stop; an arm that moves on has nothing of it",
-    "joint approach tau": "play or friction that grows with the load",
-    "joint tau": "a spring that is not linear",
-    "joint tau ripple": "teeth that give with the load",
-    "joint payload": "something that the payload brings with it",
-    "joint temperature": "warmth of the drive",
-    "joint time": "something that settles or creeps",
-    "axis q": "an axis that tilts as it turns: a bearing, or what it stands on",
-    "axis moment": "an axis that tilts under weight: its bearing gives",
-    "axis temperature": "an axis that tilts with warmth",
-    "beam range": "the instrument's own scale",
-    "beam azimuth": "the instrument's own circle",
-    "beam elevation": "the instrument's own circle",
-    "force s": "form or stock of the blade along its lines",
-    "force s travel": "a guide that sticks along its way",
-    "force line": "form or stock of the blade across its lines",
-    "force travel": "what the belt drags along",
-    "force feed": "what gives way or is ground off while the blade moves by",
-    "force setpoint": "a flange that does not bring what it is told",
-    "force belt": "a belt whose cut, or whose drag on the cover, goes with its speed",
-    "force q": "hoses or cables that pull as the arm turns",
-    "force clock": "a belt that wears, or an arm that warms up",
-    "force temperature": "warmth of the hall",
-    "sensor": "what touches the sensor: friction shows nothing of it",
-    "force wheel_temperature": "warmth of the wheel's cover",
-}
-
-
-def hint_of(patch: Active) -> str:
-    """What such a dependence may come from, in words."""
-    source, where, *_ = patch.effect.name.removeprefix(PATCH).split("|")
-    conditions = [part.rstrip("123456").removesuffix(" wave").removesuffix(" period") for part in where.split(" x ")]
-    for kept in (conditions, conditions[:1], []):
-        if hint := HINTS.get(" ".join([source.split()[0], *kept])):
-            return hint
-    return "not known"
-
-
-def formula_of(patch: Active) -> str:
-    """The hint, and the largest terms of a fitted patch, urad, um or N."""
-    at_contact = patch.scanned["source"] in ON_CONTACT
-    unit = "N" if at_contact else "urad" if patch.joint else "um"
-    features, a = patch.scanned["features"], (1.0 if at_contact else 1e6) * np.asarray(patch.a, float)
-    names = [*features] * (len(a) // len(features))
-    order = np.argsort(-np.abs(a))
-    source, where, *_ = patch.effect.name.removeprefix(PATCH).split("|")
-    what = f"{source} of joint {patch.joint}" if patch.joint and source != "joint" else f"{source} {patch.joint or ''}".strip()
-    terms = " ".join(f"{a[k]:+.3g} {names[k]}" for k in order[:MOST_TERMS])
-    return f"{what} over {where} (perhaps {hint_of(patch)}): {terms}{' ..' if len(a) > MOST_TERMS else ''} {unit}"

@@ -27,8 +27,9 @@ from ocp.diagnose.engine.beam import NOTHING, Key, Search, Weighed
 from ocp.diagnose.engine.findings import Alternative, Name, Ranked, summing_to
 from ocp.diagnose.engine.linearisation import Linearisation
 from ocp.diagnose.engine.pool import CandidatePool, Member, given
-from ocp.diagnose.verdict.patching import is_patch, patches_of, unfaded
+from ocp.diagnose.verdict.patching import patches_of, unfaded
 from ocp.effects.effect import Active, Scanned
+from ocp.effects.patch import is_patch
 from robots.pose import Array
 
 Names = tuple[Name, ...]
