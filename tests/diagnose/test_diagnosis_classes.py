@@ -53,6 +53,16 @@ def test_a_small_background_does_not_take_the_place_of_an_effect():
     assert classes_of(0.35, play=0.08) == [BACKLASH]
 
 
+def test_a_twin_may_lean_on_what_else_is_in_the_set():
+    """A drift beside the effect is free: what looks like the effect less the drift is another word for it (lambda 33 alone)."""
+    drift = np.linspace(-1.7, 1.7, N)[:, None]
+    leaning = SIGN[:, None] - 0.6 * drift
+    pool = make_pool(np.zeros(N), N, [family("windup", SIGN[:, None]), family("backlash", leaning), family("drift", drift)])
+    one, beside = Member(0, 0, 1.0), Member(2, 0, 1.0)
+    for members, told in (((one,), []), ((one, beside), [BACKLASH])):
+        assert twins(SimpleNamespace(pool=pool), Weighed(0.0, members), one, pool.columns(one)[:, 0] * 0.4) == told
+
+
 def test_variants_are_chosen_for_the_place_of_what_is_held():
     """Two families step at the same instants; a drift and a step of the first are held. Over nothing steps stand for the drift,
     beside both what is left is a small later step, in the step's place the other family needs just its instant."""

@@ -26,7 +26,7 @@ from ocp.diagnose import rules
 from ocp.diagnose.engine.beam import NOTHING, Key, Search, Weighed
 from ocp.diagnose.engine.findings import Alternative, Name, Ranked, summing_to
 from ocp.diagnose.engine.linearisation import Linearisation
-from ocp.diagnose.engine.pool import CandidatePool, Member, given
+from ocp.diagnose.engine.pool import Given, Member, given, squares
 from ocp.diagnose.verdict.patching import patches_of, unfaded
 from ocp.effects.effect import Active, Scanned
 from ocp.effects.patch import is_patch
@@ -101,28 +101,25 @@ def told_apart(parameters: int) -> float:
 
 
 def twins(problem: Linearisation, weighed: Weighed, member: Member, signature: Array) -> list[Name]:
-    """Names that these data cannot tell from a member of a set with this signature (N,), the others of the set as they are."""
-    inside = {m.family for m in weighed.members}
-    names = [i for i, f in enumerate(problem.pool.families) if f.effect is not None and i not in inside]
-    d = _beside(problem, weighed, member, signature)
-    return [problem.pool.families[i].name for i in names if _imitates(problem.pool, d, i)]
-
-
-def _beside(problem: Linearisation, weighed: Weighed, member: Member, signature: Array) -> Array:
-    """A member's signature (N,) less what the others of its set would take of it."""
+    """Names that these data cannot tell from a member of a set with this signature (N,), the others of the set being free."""
     families = problem.pool.families
+    inside = {m.family for m in weighed.members}
     # Background stays as small as it was found: at an effect's size it would take the effect's place.
     sizes = {m.family: m.size if families[m.family].background else 1.0 for m in weighed.members}
     there = given(problem.pool, [Member(m.family, m.variant, sizes[m.family]) for m in weighed.members if m != member])
-    return there.after(signature)
+    d = there.after(signature)
+    return [f.name for i, f in enumerate(families) if f.effect is not None and i not in inside and _imitates(there, d, i)]
 
 
-def _imitates(pool: CandidatePool, d: Array, family: int) -> bool:
-    """Whether a family takes so much of a signature (N,), at its prior's upper end, that what it leaves is not told from zero."""
-    g, rows = pool.of(family)
-    b = np.einsum("nvi,n->vi", g.X[:, rows], d)
-    x = np.linalg.solve(g.G[rows] + np.eye(g.m), b[..., None])[..., 0]
-    each, own, size = np.einsum("vi,vi->v", b, x), pool.families[family], float(d @ d)
+def _imitates(there: Given, d: Array, family: int) -> bool:
+    """Whether a family, at its prior's upper end, takes so much of a signature (N,) beside what is given that what it leaves is
+    not told from zero."""
+    g, rows = there.pool.of(family)
+    G, b = g.G[rows], np.einsum("nvi,n->vi", g.X[:, rows], there.after(d))
+    if there.members:
+        G = G - squares((there.turn @ there.pool.products(there, family)).reshape(-1, *b.shape))
+    x = np.linalg.solve(G + np.eye(g.m), b[..., None])[..., 0]
+    each, own, size = np.einsum("vi,vi->v", b, x), there.pool.families[family], float(d @ d)
     if own.effect is not None and own.effect.doubt is not None:  # what cannot be so large is no other name for it
         sure = [own.effect.doubt(a * own.scale, np.zeros(g.m), s) for a, s in zip(x, own.scans, strict=True)]
         each = np.where([bool(why) for why in sure], 0.0, each)
