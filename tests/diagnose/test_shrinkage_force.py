@@ -168,7 +168,7 @@ def worn(tmp_path_factory) -> Made:
             base.world.cell, read_force_log(write_log(folder / "force.csv", rows, HEADER)), arm=arm_posterior(base.world.cell)
         ).problem
     late = base.columns["run"] >= len(PLAN)
-    problem = ForceProblem.of(whole.log.take(~late), _taken(whole.scene, ~late), whole.believed)
+    problem = ForceProblem(whole.log.take(~late), _taken(whole.scene, ~late), whole.believed)
     return Made(ForceChannel(problem, fit_effects(problem)), _taken(whole.scene, late), truth[late])
 
 

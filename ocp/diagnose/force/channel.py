@@ -285,7 +285,7 @@ def problem_of(
     own = logged_arm(cell, theta, log.q, known)
     pressed = pressed_rows(setup.model, log) if pressed is None else pressed
     scene = LogScene(cell, setup.model, setup.rows[0], known, own, theta, given, pressed)
-    return ForceProblem.of(log, scene, believed, setup.notices)
+    return ForceProblem(log, scene, believed, setup.notices)
 
 
 def _own_friction(cell: Cell) -> list[Active]:

@@ -48,19 +48,17 @@ RULE = Rule(steps=25, rest=1e-3, reweighted=6, halvings=10, rise=1e-3, broyden=T
 
 @dataclass(frozen=True)
 class ForceProblem:
-    """A log and what is believed before it: scene, readings fn and ft (n,) N (ft None where absent), prior, and what its
-    recordings add."""
+    """A log and what is believed before it: scene and prior, and what was noticed of it."""
 
     log: ForceLog
     scene: LogScene
     believed: NuisancePrior
-    offsets: RunOffsets
     notices: tuple[str, ...] = ()
 
-    @staticmethod
-    def of(log: ForceLog, scene: LogScene, believed: NuisancePrior, notices: tuple[str, ...] = ()) -> "ForceProblem":
-        """The problem of a log."""
-        return ForceProblem(log, scene, believed, RunOffsets.of(log, scene.shear, RUN_SD), notices)
+    @cached_property
+    def offsets(self) -> RunOffsets:
+        """What recordings add."""
+        return RunOffsets.of(self.log, self.scene.shear, RUN_SD)
 
     @property
     def sizes(self) -> tuple[int, int]:
@@ -152,14 +150,14 @@ def _columns(problem: ForceProblem, scene: LogScene, at: Predicted, slopes: tupl
 
 
 def fit_effects(problem: ForceProblem, active: tuple[Active, ...] = (), start: EffectFit | None = None) -> EffectFit:
-    """The most probable nuisance and coefficients; effects' own values are where the search starts, `start` is a fit nearby.
+    """The most probable nuisance and coefficients; the search starts from a fit nearby, else from the effects' own values.
 
     The noise comes from the scatter about the first prediction, then about the fit's. Raises Infeasible: no rest
     with effects. Without any the fit ends at the best it found: a log that no believed contact explains is to be told as such.
     """
     r, o = problem.sizes
     scale = prior_sds(active)
-    z = np.concatenate([np.zeros(r + o) if start is None else start.z[: r + o], units_of(active)])
+    z = np.concatenate([np.zeros(r + o) if start is None else start.z[: r + o], units_of(_known(active, start))])
     at = _at(problem, z, active, None if start is None else start.at)
     if start is None:
         each = zip(signals(problem.log), problem.residuals(at, z), BLOCKS, strict=False)
@@ -182,6 +180,13 @@ def fit_effects(problem: ForceProblem, active: tuple[Active, ...] = (), start: E
     fit = EffectFit(**vars(linear(problem, z, at, whiteners)), z=z, at=at, whiteners=whiteners, rested=found.rested)
     covariance = np.linalg.inv(fit.information)[r + o :, r + o :] * np.outer(scale, scale)
     return replace(fit, at=replace(at, active=with_coefficients(at.active, coefficients(at.active), covariance)))
+
+
+def _known(active: tuple[Active, ...], near: EffectFit | None) -> tuple[Active, ...]:
+    """Effects as a fit nearby has them, zero those that it does not hold: its nuisance follows them, and is no longer the nearest
+    once they have their size."""
+    held = {} if near is None else {a.key: a.a for a in near.active}
+    return active if near is None else tuple(replace(a, a=held.get(a.key, np.zeros_like(a.a))) for a in active)
 
 
 def as_sized(active: tuple[Active, ...]) -> tuple[Active, ...]:

@@ -63,7 +63,7 @@ def foreseen_force(channel: ForceChannel, log: ForceLog, rows: ForceRows, effect
     """The channel that more rows of `log` would make about the fit of a measured one, with its noise."""
     old, fit = channel.problem, channel.fit
     known = log_conditions(old.scene.cell, log, float(old.scene.conditions.clock.max()))
-    problem = ForceProblem.of(log, old.scene.over(rows, known, log.contact), old.believed)
+    problem = ForceProblem(log, old.scene.over(rows, known, log.contact), old.believed)
     whiteners = tuple(
         _whitener(one, np.full(len(log), np.median(w.noise.base)), _noises(w), blocks)
         for one, w, blocks in zip(signals(log), fit.whiteners, BLOCKS, strict=False)
