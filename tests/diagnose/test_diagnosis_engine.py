@@ -14,6 +14,7 @@ from ocp.diagnose.engine.evidence import Tails, log_evidence, project, size_grid
 from ocp.diagnose.engine.findings import Name, Options
 from ocp.diagnose.engine.linearisation import linearised, positive_of
 from ocp.diagnose.engine.pool import Member, given, scan, scan_one
+from ocp.diagnose.engine.search import search_and_refit
 from ocp.diagnose.rules import NOISE_TRUST, TAILS, TAILS_TOLD, WRONG_SIGN
 from ocp.diagnose.verdict.diagnosis import diagnose_channels, refitted
 from ocp.diagnose.verdict.location import kernel_tests
@@ -402,6 +403,28 @@ def test_a_scanned_number_is_sharpened_again_at_the_noise_that_its_effect_leaves
     found = diagnose_channels([Waves(y, np.zeros((200, 1)), np.ones(1), {})], known, FEW)
     assert [a.effect.name for a in found.active] == ["wave"], found.ranking
     assert found.active[0].scanned["turns"] == pytest.approx(1.025, abs=0.005)
+
+
+class Driving(LinearChannel):
+    """Numbers of which effect e1 has e0's shape, and more of it, while e0 is active: a run-out drives what rubs."""
+
+    def variants(self, e, joint, scans=None):
+        """As e0 and what it leaves where that is active."""
+        found, columns = super().variants(e, joint, scans)
+        if e.name != "e1" or not any(a.effect.name == "e0" for a in self.active):
+            return found, columns
+        return found, (0.6 * self.columns[("e0", 0)][0] + 0.008 * self.system.residual[:, None])[:, None]
+
+
+def test_a_search_ends_at_the_fit_of_what_it_tells():
+    """About e0 another name seems better, about that one it is far worse: the search goes back to where it was."""
+    channel, known = problem_of(planted=((0, 0.6),))
+    driving = Driving(channel.y, channel.A, channel.prior_sd, channel.columns)
+    begin = linearised([driving], known, FEW)
+    problem, _ = search_and_refit(begin, known, FEW)
+    about_e0 = linearised([driving.with_active(begin.values(weigh(begin.pool, [0])))], known, FEW)
+    assert weigh(about_e0.pool, [1]).log > weigh(about_e0.pool, [0]).log
+    assert [a.effect.name for a in problem.channels[0].active] == ["e0"]
 
 
 def test_without_names_nothing_is_corrected():

@@ -18,7 +18,6 @@ counted once more, what then explains them best is fitted beside what was accept
 are grossly wrong. Without it other_hand_11 (springs that stiffen, lambda 3458) has no name (docs/diagnosis.md, Measured).
 """
 
-from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -40,11 +39,10 @@ from robots.pose import Array, Mask
 
 @dataclass
 class Diverged:
-    """Sets of names whose fit diverged, how often each name was new in one, names that were in a fit that converged, how many
-    fits diverged since, and those of which channels."""
+    """Sets of names whose fit diverged, names that were in a fit that converged, how many fits diverged since, and those of which
+    channels."""
 
     sets: set[frozenset[Name]] = field(default_factory=set)
-    count: Counter[Name] = field(default_factory=Counter)
     fitted: set[Name] = field(default_factory=set)
     since: int = 0
     channels: set[str] = field(default_factory=set)
@@ -54,7 +52,6 @@ class Diverged:
         found = frozenset(names)
         if found:  # without effects a channel is the one that was fitted
             self.sets.add(found)
-            self.count.update(found - self.fitted)
             self.since += 1
             self.channels.add(channel)
 
@@ -73,19 +70,17 @@ class Diverged:
 
     def names(self) -> list[Name]:
         """Names that are given up."""
-        least = 1 if self.hopeless else rules.FAILED_FITS
-        return sorted(n for n, k in self.count.items() if k >= least and n not in self.fitted)
+        return sorted({n for names in self.sets for n in names} - self.fitted) if self.hopeless else []
 
     def strike(self, search: Search, problem: Linearisation) -> None:
-        """Take the sets out of a search whose fit diverged, or that hold a name that is given up."""
+        """Take the sets out of a search whose fit diverged; where it is hopeless all with names that no fit held."""
         index = problem.index
-        gone = {index[n] for n in self.names() if n in index}
         failed = [{index[n] for n in names} for names in self.sets if all(n in index for n in names)]
         kernel = search.kernel | search.background
         stays = {index[n] for n in self.fitted if n in index} if self.hopeless else set(index.values())
         for key in list(search.sets):
             names = {f for f in key if not kernel[f]}
-            if gone & key or names in failed or not names <= stays:
+            if names in failed or not names <= stays:
                 del search.sets[key]
 
 
@@ -102,6 +97,7 @@ def search_and_refit(
     problem, diverged = first, Diverged() if diverged is None else diverged
     seeds: list[tuple[Name, ...]] = []
     tried: set[tuple[object, ...]] = set()
+    been: dict[tuple[object, ...], Sequence[Channel]] = {}
     freeing = True
     while True:
         search = Search(problem.pool, options.most, options.beam)
@@ -117,11 +113,12 @@ def search_and_refit(
             diverged.strike(search, problem)
             if in_vain(problem, search):
                 return problem, search
-        channels: list[Channel] | None = None
+        channels: Sequence[Channel] | None = None
         while channels is None:
             best = next_set(search, len(held) + 1)
             chosen = refined(problem, best, problem.values(best))
-            if effects_key(chosen, 2) in tried | {effects_key(held, 2)}:
+            key = effects_key(chosen, 2)
+            if key in tried | {effects_key(held, 2)}:
                 channels = outliers_rechecked(problem, held, library, options) if freeing else None
                 if channels is None and rough:
                     rough = False
@@ -129,12 +126,15 @@ def search_and_refit(
                     diverged.strike(search, problem)
                     continue
                 if channels is None:
-                    return problem, search
-                freed = effects_key(_all_active(channels), 2)
-                freeing = freed not in tried  # a set that was tried is not tried for ever
-                tried.add(freed)
+                    channels, been[key] = rather(been.get(key, ()), problem, library, options), ()
+                    if not channels:
+                        return problem, search
+                    break
+                key = effects_key(_all_active(channels), 2)
+                freeing = key not in tried  # a set that was tried is not tried for ever
+                tried.add(key)
                 break
-            tried.add(effects_key(chosen, 2))
+            tried.add(key)
             channels = []
             for channel in problem.channels:
                 try:
@@ -148,6 +148,27 @@ def search_and_refit(
         problem = linearised(channels, library, options)
         if sharper := _sharpened(problem):
             problem = linearised(sharper, library, options)
+        been.setdefault(key, problem.channels)  # not twice: a circle ends
+
+
+def rather(
+    earlier: Sequence[Channel], problem: Linearisation, library: Mapping[str, Effect], options: Options
+) -> Sequence[Channel]:
+    """The channels of an earlier fit, where what it holds is better than what is held now by the mean of what columns about
+    either fit say, else none. Columns about one may not hold about another: where a run-out moves the flange its friction makes
+    the run-out's pattern, and seems to explain it."""
+    now, then = ({Name(*a.key) for a in _all_active(one)} for one in (problem.channels, earlier))
+    if not earlier or now == then:
+        return ()
+    there = linearised(earlier, library, options)
+    both = (problem, there) if now <= {*there.index} else ()
+    gained = sum(_weighed(about, then).log - _weighed(about, now).log for about in both)
+    return earlier if gained > 0 or not both else ()
+
+
+def _weighed(problem: Linearisation, names: Iterable[Name]) -> Weighed:
+    """A set by its names."""
+    return weigh(problem.pool, sorted(problem.index[n] for n in names))
 
 
 def _grown(problem: Linearisation, search: Search) -> bool:
@@ -192,7 +213,7 @@ def _sharpened(problem: Linearisation) -> list[Channel]:
     held = _all_active(problem.channels)
     names = [Name(*a.key) for a in held]
     if names and {*names} <= {*problem.index}:
-        there = weigh(problem.pool, [problem.index[n] for n in names])
+        there = _weighed(problem, names)
         chosen = refined(problem, there, problem.values(there))
         if effects_key(chosen) != effects_key(held):
             with suppress(Infeasible):
