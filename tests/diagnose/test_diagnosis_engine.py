@@ -421,10 +421,12 @@ def test_a_search_ends_at_the_fit_of_what_it_tells():
     channel, known = problem_of(planted=((0, 0.6),))
     driving = Driving(channel.y, channel.A, channel.prior_sd, channel.columns)
     begin = linearised([driving], known, FEW)
-    problem, _ = search_and_refit(begin, known, FEW)
+    problem, search = search_and_refit(begin, known, FEW)
     about_e0 = linearised([driving.with_active(begin.values(weigh(begin.pool, [0])))], known, FEW)
     assert weigh(about_e0.pool, [1]).log > weigh(about_e0.pool, [0]).log
     assert [a.effect.name for a in problem.channels[0].active] == ["e0"]
+    logs = {problem.names(k): s.log for k, s in search.sets.items()}
+    assert logs[(Name("e0"),)] > logs[(Name("e1"),)] + 5.0
 
 
 def test_without_names_nothing_is_corrected():

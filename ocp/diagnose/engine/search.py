@@ -20,7 +20,7 @@ are grossly wrong. Without it other_hand_11 (springs that stiffen, lambda 3458) 
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -98,12 +98,15 @@ def search_and_refit(
     seeds: list[tuple[Name, ...]] = []
     tried: set[tuple[object, ...]] = set()
     been: dict[tuple[object, ...], Sequence[Channel]] = {}
-    freeing = True
+    freeing, flattered = True, None
     while True:
         search = Search(problem.pool, options.most, options.beam)
         index = problem.index
         search.begin([frozenset(index[n] for n in names if n in index) for names in seeds], pairs=problem is first)
         rough = _grown(problem, search)
+        if flattered is not None:
+            flattered.put_right(search, problem)
+            flattered = None
         held = _all_active(problem.channels)
         diverged.converged(Name(*a.key) for a in held)
         diverged.strike(search, problem)
@@ -126,7 +129,7 @@ def search_and_refit(
                     diverged.strike(search, problem)
                     continue
                 if channels is None:
-                    channels, been[key] = rather(been.get(key, ()), problem, library, options), ()
+                    (channels, flattered), been[key] = rather(been.get(key, ()), problem, library, options), ()
                     if not channels:
                         return problem, search
                     break
@@ -151,19 +154,37 @@ def search_and_refit(
         been.setdefault(key, problem.channels)  # not twice: a circle ends
 
 
+@dataclass(frozen=True)
+class Flattered:
+    """Names that stand in the place of others, and by how much (log) columns about a fit rate them otherwise than columns about
+    that fit and about their own do on average."""
+
+    names: set[Name]
+    others: set[Name]
+    log: float
+
+    def put_right(self, search: Search, problem: Linearisation) -> None:
+        """Weigh the sets of a search that have the names and not the others as the average does."""
+        names, others = ({problem.index[n] for n in part if n in problem.index} for part in (self.names, self.others))
+        for key, one in search.sets.items():
+            if names and names <= key and not others & key:
+                search.sets[key] = replace(one, log=one.log - self.log)
+
+
 def rather(
     earlier: Sequence[Channel], problem: Linearisation, library: Mapping[str, Effect], options: Options
-) -> Sequence[Channel]:
+) -> tuple[Sequence[Channel], Flattered | None]:
     """The channels of an earlier fit, where what it holds is better than what is held now by the mean of what columns about
-    either fit say, else none. Columns about one may not hold about another: where a run-out moves the flange its friction makes
-    the run-out's pattern, and seems to explain it."""
+    either fit say, and what columns about it flatter; else none. Columns about one fit may not hold about another: where a
+    run-out moves the flange its friction makes the run-out's pattern, and seems to explain it."""
     now, then = ({Name(*a.key) for a in _all_active(one)} for one in (problem.channels, earlier))
     if not earlier or now == then:
-        return ()
+        return (), None
     there = linearised(earlier, library, options)
-    both = (problem, there) if now <= {*there.index} else ()
-    gained = sum(_weighed(about, then).log - _weighed(about, now).log for about in both)
-    return earlier if gained > 0 or not both else ()
+    if not now <= {*there.index}:
+        return earlier, None
+    here, gain = (_weighed(about, then).log - _weighed(about, now).log for about in (problem, there))
+    return (earlier, Flattered(now - then, then - now, 0.5 * (here - gain))) if here + gain > 0 else ((), None)
 
 
 def _weighed(problem: Linearisation, names: Iterable[Name]) -> Weighed:
