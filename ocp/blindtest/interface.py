@@ -79,8 +79,9 @@ def blindtest(
     refuse_outside(("--worlds", worlds, 1, 20000, ""), ("--readings", readings, 40, 2000, ""), ("--jobs", jobs, 0, 64, ""))
     check = Check(folder, seed, worlds, check_kinds(",".join(kinds), signals), readings, signals=signals)
     refuse_unrecorded(check)
+    hands = Hands(jobs or cores(), scheduler)
     with reserved(folder, overwrite, files_of(cell), grows=True) as output, output.grown():
-        return _judged(check, Path(cell), again, Hands(jobs or cores(), scheduler), Phases(progress))
+        return _judged(check, Path(cell), again, hands, Phases(progress))
 
 
 def _judged(check: Check, cell: Path, again: bool, hands: Hands, phases: Phases) -> BlindtestResult:

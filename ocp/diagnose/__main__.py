@@ -13,7 +13,7 @@ app = command_line()
 @command(app, "python -m ocp.diagnose run --out diagnosis", failed="not diagnosed")
 def _diagnose(
     folder: Annotated[Path | None, typer.Argument(help="data set: cell.toml with tracker.csv, force.csv, joints.csv")] = None,
-    out: Annotated[Path, typer.Option(help="folder to write")] = Path("diagnosis"),
+    out: Annotated[Path | None, typer.Option(help="folder to write", show_default="diagnosis")] = None,
     columns: Annotated[
         Path | None, typer.Option(help="mapping file: which of a table's columns is which (docs/formats.md)")
     ] = None,
@@ -28,7 +28,7 @@ def _diagnose(
     list_effects: Annotated[bool, typer.Option(help="list the catalogue with units and usual ranges")] = False,
 ) -> str:
     """Say where model and cell differ, which effect causes it, and how far the gap shrinks with it."""
-    from robots.errors import BadInput  # imports only what the arguments ask for
+    from robots.errors import BadInput, shown  # imports only what the arguments ask for
 
     if list_effects:
         from ocp.effects.catalogue import effect_list
@@ -39,16 +39,18 @@ def _diagnose(
             raise BadInput(f"{name} goes with --design cell.toml; what was measured belongs into the data set's folder")
     if design is not None and (given := folder or columns) is not None:
         raise BadInput(f"{given}: --design looks at a plan, not at a data set; give one of them")
+    if design is not None and out is not None:
+        raise BadInput(f"--out {shown(out)}: --design prints a table and writes nothing; leave it out")
     if design is not None:
         from ocp.diagnose.foresee.design import design_text
 
         return design_text(design, poses, log)
     if folder is None:
         raise BadInput("no data set is named; give the folder that holds cell.toml and measurements, or --design cell.toml")
-    from ocp.diagnose import interface
+    from ocp.diagnose.interface import diagnose
 
     with shown_progress() as progress:
-        return answer(interface.diagnose(folder, out=out, columns=columns, overwrite=overwrite, progress=progress))
+        return answer(diagnose(folder, out=out or Path("diagnosis"), columns=columns, overwrite=overwrite, progress=progress))
 
 
 if __name__ == "__main__":

@@ -39,12 +39,13 @@ def _experiments(
         raise BadInput(f"--mount '{mount}' is not flange, rigid or both")
     refuse_outside(("--robots", robots, 1, 10000, ""), ("--poses", poses, 20, 1000, ""))
     refuse_outside(("--seed", seed, 0, 2**31, ""), ("--jobs", jobs, 0, 64, ""))
+    hands = Hands(jobs or cores(), scheduler)
     mounts = list(MOUNTS) if mount == "both" else [mount]
     seeds = list(range(seed, seed + robots))
     with reserved(out, overwrite, files_of(cell)) as output:
         believed = read_cell(cell)
         with shown_progress() as progress:
-            trials = run_trials(believed, mounts, seeds, poses, Hands(jobs or cores(), scheduler), Phases(progress))
+            trials = run_trials(believed, mounts, seeds, poses, hands, Phases(progress))
         options: dict[str, object] = {"cell": believed.name, "robots": robots, "seed": seed, "poses": poses, "mounts": mounts}
         with output.whole() as folder:
             (folder / "experiments.json").write_text(trials_json(trials, options))

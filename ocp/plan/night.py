@@ -10,7 +10,7 @@ import time
 import traceback
 from collections.abc import Sequence
 from concurrent.futures import Future
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -85,6 +85,7 @@ def plan_night(
         raise BadInput(f"--jobs {jobs} must lie between 0 and {MOST_JOBS}")
     options = PlanOptions(None, None, kind, None, step, whole=whole, stock=None if stock is None else Path(stock))
     night = _Night(_named([Path(one) for one in blades]), Path(cell), options)
+    hands = Hands(jobs or cores(), scheduler)
     night.check(away=scheduler is not None)
     with reserved(Path(out), overwrite, night.all_inputs(), grows=True) as output, output.grown():
         folder = output.named
@@ -94,7 +95,7 @@ def plan_night(
         with Phases(progress).phase("blades", len(night.blades)) as advance:
             for _ in range(len(night.blades) - len(todo)):
                 advance()
-            for place, done in carried_out(errand, tasks, Hands(min(jobs or cores(), max(len(todo), 1)), scheduler), apart=True):
+            for place, done in carried_out(errand, tasks, replace(hands, jobs=min(hands.jobs, max(len(todo), 1))), apart=True):
                 row, files = _ended(done)
                 rows[todo[place]] = {"name": todo[place]} | row | {"reason": night.as_given(todo[place], row["reason"])}
                 _add(night, rows, todo[place], files, folder)

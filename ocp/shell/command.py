@@ -4,6 +4,7 @@ import functools
 import inspect
 import io
 import json
+import logging
 import sys
 import time
 import webbrowser
@@ -154,6 +155,8 @@ def main(app: typer.Typer, name: str | None = None) -> None:
 
 def _called(app: typer.Typer, name: str | None) -> int:
     collect_seldom()
+    # Without a home to write to, Matplotlib tells twice that it keeps its fonts elsewhere, which nobody asked.
+    logging.getLogger("matplotlib").addFilter(lambda record: record.levelno >= logging.ERROR)
     try:
         # An interrupt during the imports comes back as a number, as an error or as itself, depending on the release.
         if app(standalone_mode=False, prog_name=name) == INTERRUPTED:

@@ -7,6 +7,7 @@ what it reads comes with it and what it writes goes back, so that it may be done
 import os
 import pickle
 import platform
+import re
 import tempfile
 import threading
 from collections import deque
@@ -21,10 +22,11 @@ from typing import Any, Protocol
 
 from ocp.shell.cache import code_hash
 from ocp.shell.processes import cores, hold, interrupts_held_back, keep_to, with_held, workers
-from robots.errors import BadInput, Infeasible
+from robots.errors import BadInput, Infeasible, shown
 
 RENEWED = 10  # tasks of a process, then a new one takes its place: a plan leaves 5 to 20 MB behind in its process
 CONNECT = 10  # s, for a scheduler to answer and to have a worker
+ADDRESS = re.compile(r"(\w+://)?[^\s/:]+:\d+/?")  # of a Dask scheduler; without a protocol it is tcp
 AHEAD = 2  # tasks a thread of the cluster that are on their way
 OTHER_VERSION = "{} runs another version of this software, or has none; install there what runs here, and start it again"
 Files = dict[str, bytes]
@@ -37,6 +39,11 @@ class Hands:
 
     jobs: int
     scheduler: str | None = None
+
+    def __post_init__(self) -> None:
+        """Raises BadInput: no address, which is told before the work begins, not when somebody is to be called."""
+        if self.scheduler is not None and not ADDRESS.fullmatch(self.scheduler):
+            raise BadInput(f"--scheduler '{shown(self.scheduler)}' is no address like tcp://host:8786; give one or leave it out")
 
 
 class WorkerEnded(Infeasible):

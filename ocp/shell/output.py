@@ -70,12 +70,20 @@ class Output:
         for place in (parent, self.folder):
             if place.exists() and not os.access(place, os.W_OK | os.X_OK):
                 raise BadInput(f"{self.named}: cannot be written, no permission in {place}; give another --out")
+        self._refuse_no_place(parent)
         if not _empty(self.folder):
             if self.overwrite:
                 self._refuse_losses()
             elif not self.grows:
                 raise BadInput(f"{self.named}: exists and is not empty; give another --out, or --overwrite to replace it")
         self._seen = _state(self.folder)
+
+    def _refuse_no_place(self, parent: Path) -> None:
+        """Permissions do not tell all (/proc, a network's folder): whether a folder can be made there shows by making one."""
+        try:
+            Path(tempfile.mkdtemp(prefix=_prefix(self.folder, NEW), dir=parent)).rmdir()
+        except OSError as error:
+            raise BadInput(f"{self.named}: cannot be written ({error.strerror}) in {parent}; give another --out") from None
 
     def _refuse_losses(self) -> None:
         for place in (Path.cwd(), Path.home()):

@@ -219,6 +219,12 @@ def test_a_mapping_is_of_a_data_set(tmp_path):
     assert found.code == 2 and "m.toml: --design looks at a plan" in found.err
 
 
+def test_a_design_writes_nothing_and_says_so(tmp_path):
+    (tmp_path / "cell.toml").write_text(CELL.format(stiffness=SPRINGS))
+    found = called(app, tmp_path, "--design", "cell.toml", "--out", "table")
+    assert found.code == 2 and "--out table: --design prints a table" in found.err and not (tmp_path / "table").exists()
+
+
 def test_a_folder_in_use_is_not_overwritten(tmp_path, capsys):
     write_tracker_folder(tmp_path / "set", 3, 0.0, n=24, sealed=3)
     (tmp_path / "out").mkdir()

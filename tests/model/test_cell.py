@@ -127,6 +127,7 @@ AXIS = "clamp_to_mm = 10.0\naerofoil_axis = "
         ),
         ("radius_mm = 40.0\n", "", r"key 'wheel.radius_mm' is missing"),
         ("radius_mm = 40.0", "wheel_radius_mm = 40.0", "unknown key 'wheel.wheel_radius_mm'; known here: centre_mm"),
+        ("mass_kg = 90.0", "mass_kg = 90.0\ninertia_kg_m2 = [1.0, 1.0, 9.0]", "line 15: payloads.weight: .*no body has"),
         ("mass_kg = 90.0", "mass_kg = 90,5", "line 16, .*write 90.5 with a point"),
         ("radius_mm = 40.0", "radius_mm = -40.0", r"line 37: wheel.radius_mm = -40.0: .*greater than or equal to 1"),
         ("radius_mm = 40.0", 'radius_mm = "big"', r"wheel.radius_mm = 'big': .*number"),

@@ -171,6 +171,7 @@ def test_a_blade_whose_process_was_lost_is_tried_again(tmp_path, monkeypatch):
         (["a.stl", "b.stl", "--kind", "spline"], "--kind 'spline' is not axis"),
         (["a.stl", "b.stl", "--jobs", "-1"], "--jobs -1 must lie between 0 and 256"),
         (["a.stl", "b.stl", "--cell", "nowhere.toml"], "nowhere.toml: cannot be read"),
+        (["a.stl", "b.stl", "--scheduler", "foo"], "--scheduler 'foo' is no address"),
         (["a.stl", "--jobs", "2"], "--jobs and --scheduler spread several blades"),
     ],
 )

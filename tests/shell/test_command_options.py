@@ -69,6 +69,14 @@ def test_open_shows_the_page_and_nothing_where_there_is_none(tmp_path, monkeypat
     assert opened == [(tmp_path / "rehearsal.html").as_uri()]
 
 
+def test_matplotlib_tells_nothing_of_a_home_without_its_folder(tmp_path):
+    code = "import typer; from ocp.shell.command import main, command_line, command; app = command_line(); "
+    code += "command(app, 'draw')(lambda: str(__import__('matplotlib').get_configdir()[:0] or 'drawn')); main(app)"
+    home = {"HOME": "/proc/nowhere", "XDG_CONFIG_HOME": "", "MPLCONFIGDIR": "", "PATH": os.environ["PATH"]}
+    told = subprocess.run([sys.executable, "-c", code], env=home, capture_output=True, text=True)
+    assert (told.stdout, told.stderr) == ("drawn\n", "")
+
+
 def test_verbose_tells_a_phase_when_it_begins(tmp_path):
     told = CliRunner().invoke(app_writing(tmp_path), ["-v"])
     assert told.stderr.splitlines()[0].split() == ["0.0", "s", "milling,", "3", "steps"]

@@ -113,12 +113,18 @@ def test_a_worker_of_another_version_does_no_task(cluster, monkeypatch):
         future.result()
 
 
-@pytest.mark.parametrize("address", ["tcp://127.0.0.1:9", "nonsense://x"])
+@pytest.mark.parametrize("address", ["tcp://127.0.0.1:9", "nonsense://x:1"])
 def test_a_scheduler_that_does_not_answer_is_one_sentence(monkeypatch, address):
     pytest.importorskip("distributed", reason="pip install '.[cluster]'")
     monkeypatch.setattr(executor, "CONNECT", 1)
     with pytest.raises(BadInput, match=rf"^--scheduler {address}: no Dask scheduler with a worker answers"):
         next(carried_out(added, [(1,)], Hands(1, address)))
+
+
+@pytest.mark.parametrize("address", ["", "foo", "tcp://host", "a b:1"])
+def test_what_is_no_address_is_refused_before_the_work_begins(address):
+    with pytest.raises(BadInput, match=rf"^--scheduler '{address}' is no address"):
+        Hands(1, address)
 
 
 def test_a_missing_package_is_one_sentence(monkeypatch):

@@ -6,6 +6,7 @@ import re
 import shutil
 import signal
 from hashlib import sha256
+from pathlib import Path
 
 import pytest
 
@@ -48,6 +49,11 @@ def test_a_new_folder_appears_when_it_is_whole(tmp_path):
         assert not out.exists() and partial.parent == out.parent
     assert names(out) == [MARKER, "x.txt"] and names(out.parent) == ["plan"]
     assert out.stat().st_mode & 0o777 == 0o755
+
+
+def test_a_place_where_no_folder_can_be_made_is_refused_before_the_work():
+    with pytest.raises(BadInput, match=r"^/proc/plan: cannot be written"):  # root may write there, says access
+        check_output(Path("/proc/plan"), overwrite=False)
 
 
 def test_an_empty_folder_is_as_good_as_none(tmp_path):
