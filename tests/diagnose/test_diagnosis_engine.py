@@ -8,7 +8,8 @@ import pytest
 from scipy.stats import f as f_law
 from scipy.stats import gamma, kstest, multivariate_t, norm
 
-from ocp.diagnose.engine.beam import Search, weigh
+from ocp.diagnose.engine import search as engine_search
+from ocp.diagnose.engine.beam import Search, Weighed, weigh
 from ocp.diagnose.engine.channel_system import ReadingConditions
 from ocp.diagnose.engine.evidence import Tails, log_evidence, project, size_grid
 from ocp.diagnose.engine.findings import Name, Options
@@ -19,6 +20,7 @@ from ocp.diagnose.rules import NOISE_TRUST, TAILS, TAILS_TOLD, WRONG_SIGN
 from ocp.diagnose.verdict.diagnosis import diagnose_channels, refitted
 from ocp.diagnose.verdict.location import kernel_tests
 from ocp.effects.catalogue import library
+from ocp.effects.effect import Active
 from robots.gauss_newton import linear_step
 from tests.support.linear_channel import LinearChannel, effect
 
@@ -434,3 +436,20 @@ def test_without_names_nothing_is_corrected():
     baseline, searched = (LinearChannel(np.zeros(4), np.zeros((4, 1)), np.ones(1), {}) for _ in range(2))
     (found,) = refitted((baseline,), SimpleNamespace(channels=(searched,)), ())
     assert found is baseline
+
+
+def test_a_scanned_number_is_not_sharpened_to_where_physics_has_none(monkeypatch):
+    """A belt that spreads its force over a curvature of nothing divides by zero; all evidence here is for less of it."""
+    belt, tried = library()["belt_tension"], []
+
+    def evidence(problem, others, effect, joint, scans):
+        tried.extend(s["half_per_m"] for s in scans)
+        return np.array([-s["half_per_m"] for s in scans]), np.ones((len(scans), 1))
+
+    monkeypatch.setattr(engine_search, "_evidence", evidence)
+    monkeypatch.setattr(engine_search, "given", lambda pool, members: None)
+    name = Name("belt_tension", 0)
+    family = SimpleNamespace(scans=tuple({"half_per_m": h} for h in (10.0, 50.0, 250.0)))
+    problem = SimpleNamespace(index={name: 0}, pool=SimpleNamespace(families=[family]))
+    one = engine_search._sharper(problem, Weighed(0.0, ()), Active(belt, 0, np.ones(1), {"half_per_m": 50.0}, np.eye(1)))
+    assert one.scanned["half_per_m"] == min(tried) == 10.0

@@ -255,15 +255,16 @@ def _sharper(problem: Linearisation, weighed: Weighed, one: Active) -> Active:
     keys = [k for k in one.effect.symbolic if k not in FIXED and isinstance(one.scanned.get(k), float)]
     if not keys:
         return one
-    index = problem.index
-    family = next(f for n, f in index.items() if (n.effect, n.joint) == one.key)
+    family = next(f for n, f in problem.index.items() if (n.effect, n.joint) == one.key)
     others = given(problem.pool, [Member(m.family, m.variant, 1.0) for m in weighed.members if m.family != family])
     scans = problem.pool.families[family].scans
     steps = {k: _spacing([s[k] for s in scans if k in s]) for k in keys}
+    # Physics has no place below: a curvature or a time of nothing divides by zero.
+    low = {p.key: min([p.low, *(s[p.key] for s in scans if p.key in s)]) for p in one.effect.parameters if not p.signed}
     best, here = dict(one.scanned), one
     level, _ = _evidence(problem, others, one.effect, one.joint, [best])
     for _ in range(HALVINGS):
-        moves = [best | {k: best[k] + sign * steps[k]} for k in keys if steps[k] > 0 for sign in (-1.0, 1.0)]
+        moves = [best | {k: max(best[k] + s * steps[k], low.get(k, -np.inf))} for k in keys if steps[k] > 0 for s in (-1.0, 1.0)]
         if not moves:
             break
         values, means = _evidence(problem, others, one.effect, one.joint, moves)
