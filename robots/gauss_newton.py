@@ -71,7 +71,8 @@ class Rule:
     reweighted: so many steps begin with new weights, then they stand (None: all do). halvings: a step is halved at most so often
     until it raises the cost by no more than `rise`; 0: steps are taken whole. rank: None: normal equations; else the singular
     values of the sensitivities, directions below this share of the largest stay where they are. relaxed: shorter steps where they
-    overshoot in turn to either side. broyden: what the sensitivities missed along a halved step is added to them.
+    overshoot in turn to either side. secant: what the prediction's curvature adds to the normal equations where residuals are
+    large is learnt from how gradients change along steps.
     """
 
     steps: int
@@ -81,7 +82,7 @@ class Rule:
     rise: float = 1e-6
     rank: float | None = None
     relaxed: bool = False
-    broyden: bool = False
+    secant: bool = False
     valley: Valley = NO_VALLEY
 
 
@@ -131,7 +132,8 @@ def linear_step(residual: Array, sensitivity: Array, z: Array, precision: Array,
 def minimise(start: P, precision: Array, rule: Rule) -> Minimum[P]:
     """The minimum of eq. 1 nearest to `start`; precision (k,) of the prior, 0 where an unknown is free."""
     at, share, tries, lost = start, 1.0, 0, 0
-    costs, missed, previous = list[float](), None, np.zeros(len(precision))
+    costs, previous = list[float](), np.zeros(len(precision))
+    curvature, taken = np.zeros((len(precision),) * 2), None
     reweighted = rule.steps if rule.reweighted is None else rule.reweighted
     valley = rule.valley
 
@@ -142,18 +144,18 @@ def minimise(start: P, precision: Array, rule: Rule) -> Minimum[P]:
         if len(costs) < reweighted:
             at = at.reweighted()
         residual, sensitivity = at.linearised()
-        if missed is not None:
-            sensitivity = sensitivity + missed
-        step = linear_step(residual, sensitivity, at.z, precision, rule.rank)
+        if taken is not None:
+            curvature = _learnt(curvature, *taken, at.z, residual, sensitivity, precision)
+        step = _curved(linear_step(residual, sensitivity, at.z, precision, rule.rank), curvature)
         costs.append(_cost(residual, at.z, precision))
         if rule.relaxed:
             share = _relaxed(share, previous, step)
             previous = step.change
         there, left, halvings = _shortened(at, share * step.change, precision, costs[-1], rule)
-        took = there.z - at.z
-        if rule.broyden and halvings and took @ took > 0:
-            update = np.outer(residual - left - sensitivity @ took, took / (took @ took))
-            missed = update if missed is None else missed + update
+        taken = (at.z, residual, sensitivity) if rule.secant else None
+        if taken is not None and len(costs) < reweighted:  # what comes next has other weights
+            curvature = _learnt(curvature, *taken, there.z, *there.linearised(), precision) if halvings else curvature
+            taken = None
         at = there
         if step.change @ step.normal @ step.change < rule.rest or gained_less(valley.still):
             return Minimum(at, step, len(costs), True)
@@ -163,6 +165,32 @@ def minimise(start: P, precision: Array, rule: Rule) -> Minimum[P]:
         if tries > valley.tries or lost == valley.lost:
             break
     return Minimum(at, step, len(costs), gained_less(valley.close))
+
+
+def _curved(step: LinearStep, curvature: Array) -> LinearStep:
+    """The step with what is known of the prediction's curvature (k, k) in the normal equations, in no direction beyond where the
+    linear problem is flattest."""
+    if not curvature.any():
+        return step
+    size, turn = np.linalg.eigh(step.normal + curvature)
+    size = np.maximum(size, np.linalg.eigvalsh(step.normal)[0])
+    return LinearStep(turn @ (turn.T @ (step.normal @ step.change) / size), step.normal, step.root)
+
+
+def _learnt(known: Array, before: Array, e0: Array, A0: Array, after: Array, e1: Array, A1: Array, precision: Array) -> Array:
+    """Of half the second derivatives of eq. 1 (k, k) what products of sensitivities lack, after a step from z `before` to `after`
+    with residuals e and sensitivities A at the same weights: structured secant update, sized (Dennis, Gay and Welsch 1981, An
+    adaptive nonlinear least-squares algorithm)."""
+    took = after - before
+    missed = (A0 - A1).T @ e1
+    turned = precision * took - A1.T @ e1 + A0.T @ e0
+    along, had = float(took @ turned), float(took @ known @ took)
+    if along <= 0.0:
+        return known
+    known = known * (min(1.0, abs(float(took @ missed) / had)) if had else 1.0)
+    more = missed - known @ took
+    both = np.outer(more, turned)
+    return np.asarray(known + (both + both.T) / along - (more @ took) * np.outer(turned, turned) / along**2)
 
 
 def _cost(residual: Array, z: Array, precision: Array) -> float:

@@ -43,7 +43,7 @@ def refreshed(log: ForceLog, whitener: Whitener, residual: Array) -> Whitener:
 # explain. A search that ends otherwise is a fit where less than one of the squares is to be gained, which changes no answer. One
 # that comes to rest takes less than half of the predictions.
 VALLEY = Valley(over=3, still=0.01, close=1.0, tries=45, lost=2)
-RULE = Rule(steps=25, rest=1e-3, reweighted=6, halvings=10, rise=1e-3, broyden=True, valley=VALLEY)
+RULE = Rule(steps=25, rest=1e-3, reweighted=6, halvings=10, rise=1e-3, secant=True, valley=VALLEY)
 
 
 @dataclass(frozen=True)
@@ -219,11 +219,7 @@ def _at(problem: ForceProblem, z: Array, active: tuple[Active, ...], near: Predi
 
 @dataclass(frozen=True)
 class _Point:
-    """A point of the search (`robots.gauss_newton.Iterate`): unknowns z, prediction there, one whitener a signal.
-
-    Columns leave out how an effect's interference turns with the arm; where a halved step shows what they missed, the search adds
-    it (Broyden's update).
-    """
+    """A point of the search (`robots.gauss_newton.Iterate`): unknowns z, prediction there, one whitener a signal."""
 
     problem: ForceProblem
     z: Array
