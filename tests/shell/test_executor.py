@@ -127,6 +127,11 @@ def test_what_is_no_address_is_refused_before_the_work_begins(address):
         Hands(1, address)
 
 
+@pytest.mark.parametrize("address", ["tcp://host:8786", "10.0.0.2:8786", "tls://[fe80::1]:8786/"])
+def test_an_address_is_one_with_or_without_a_protocol(address):
+    assert Hands(1, address).scheduler == address
+
+
 def test_a_missing_package_is_one_sentence(monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(BadInput, match="needs the package distributed: pip install"):
