@@ -7,7 +7,8 @@ The unknowns z (k,) are zero at the prior's mean. What is lowered, at given nois
 with e the residuals (measured less predicted), whitened and weighted. A step d solves the same with the prediction linear in z,
 (A^T A + diag(precision)) d = A^T e - precision z, A the sensitivities of the whitened prediction (Gill, Murray and Wright 1981,
 section 4.7.2). Weights of a law with heavy tails are estimated anew before a step and stand during it: iteratively reweighted
-least squares, where each step that lowers (1) also lowers the law's own misfit (Lange, Little and Taylor 1989).
+least squares, where each step that lowers (1) also lowers the law's own misfit (Lange, Little and Taylor 1989). What (1) curves
+beyond A^T A, where residuals stay large, may be learnt from the steps (`Rule.secant`).
 """
 
 from dataclasses import dataclass
@@ -72,7 +73,7 @@ class Rule:
     until it raises the cost by no more than `rise`; 0: steps are taken whole. rank: None: normal equations; else the singular
     values of the sensitivities, directions below this share of the largest stay where they are. relaxed: shorter steps where they
     overshoot in turn to either side. secant: what the prediction's curvature adds to the normal equations where residuals are
-    large is learnt from how gradients change along steps.
+    large is learnt from how gradients change along steps (not beside `rank`).
     """
 
     steps: int
@@ -88,8 +89,8 @@ class Rule:
 
 @dataclass(frozen=True)
 class LinearStep:
-    """Step (k,) to the minimum of the linear problem, normal (k, k): half the second derivatives there, and where singular values
-    were used a root (k, r) of the covariance."""
+    """Step (k,) to the minimum of the linear problem, or as far as known curvature lets it go, normal (k, k): half the second
+    derivatives of the linear problem, and where singular values were used a root (k, r) of the covariance."""
 
     change: Array
     normal: Array
@@ -154,7 +155,8 @@ def minimise(start: P, precision: Array, rule: Rule) -> Minimum[P]:
         there, left, halvings = _shortened(at, share * step.change, precision, costs[-1], rule)
         taken = (at.z, residual, sensitivity) if rule.secant else None
         if taken is not None and len(costs) < reweighted:  # what comes next has other weights
-            curvature = _learnt(curvature, *taken, there.z, *there.linearised(), precision) if halvings else curvature
+            if halvings or curvature.any():
+                curvature = _learnt(curvature, *taken, there.z, *there.linearised(), precision)
             taken = None
         at = there
         if step.change @ step.normal @ step.change < rule.rest or gained_less(valley.still):
@@ -170,7 +172,7 @@ def minimise(start: P, precision: Array, rule: Rule) -> Minimum[P]:
 def _curved(step: LinearStep, curvature: Array) -> LinearStep:
     """The step with what is known of the prediction's curvature (k, k) in the normal equations, in no direction beyond where the
     linear problem is flattest."""
-    if not curvature.any():
+    if not curvature.any() or step.root is not None:
         return step
     size, turn = np.linalg.eigh(step.normal + curvature)
     size = np.maximum(size, np.linalg.eigvalsh(step.normal)[0])

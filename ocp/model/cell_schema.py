@@ -40,7 +40,7 @@ Preston = Annotated[float, Field(ge=1e-6, le=1e6, allow_inf_nan=False, strict=Tr
 # Counts: a joint's springs are six; every payload, nest and effect is a block of unknowns in a fit.
 MOST_PAYLOADS, MOST_NESTS, MOST_EFFECTS = 200, 1000, 100
 
-ROUNDED = 1.05  # moments of inertia of a flat body, 1 + 1 = 2, that a drawing rounds to two digits
+ROUNDED, LAST_DIGIT = 1.05, 1.5e-3  # of moments of inertia of a flat body, 1 + 1 = 2: two digits, or three decimals
 
 
 class RobotTable(TomlTable):
@@ -88,7 +88,9 @@ class PayloadTable(TomlTable):
     @model_validator(mode="after")
     def _physical(self) -> "PayloadTable":
         moments = sorted(self.inertia_kg_m2)
-        if moments[2] > ROUNDED * (moments[0] + moments[1]):  # x + y - z is twice the body's integral of z^2, about any axes
+        if (
+            moments[2] > ROUNDED * (moments[0] + moments[1]) + LAST_DIGIT
+        ):  # x + y - z is twice the body's integral of z^2, about any axes
             raise ValueError(
                 f"inertia_kg_m2 = {list(self.inertia_kg_m2)}: no body has one moment above the sum of the two others; correct "
                 "them (kg m^2 about the centre of mass), or leave all three out"

@@ -26,7 +26,7 @@ from robots.errors import BadInput, Infeasible, shown
 
 RENEWED = 10  # tasks of a process, then a new one takes its place: a plan leaves 5 to 20 MB behind in its process
 CONNECT = 10  # s, for a scheduler to answer and to have a worker
-ADDRESS = re.compile(r"(\w+://)?([^\s/:]+|\[[\da-fA-F:.]+\]):\d+/?")  # of a Dask scheduler; without a protocol it is tcp
+ADDRESS = re.compile(r"(\w+://)?([^\s/:]+|\[[\da-fA-F:.]+(%\w+)?\]):\d+/?")  # of a Dask scheduler; without a protocol it is tcp
 AHEAD = 2  # tasks a thread of the cluster that are on their way
 OTHER_VERSION = "{} runs another version of this software, or has none; install there what runs here, and start it again"
 Files = dict[str, bytes]

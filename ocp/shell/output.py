@@ -14,7 +14,7 @@ import shutil
 import sys
 import tempfile
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from hashlib import sha256
 from pathlib import Path
 
@@ -81,7 +81,9 @@ class Output:
     def _refuse_no_place(self, parent: Path) -> None:
         """Permissions do not tell all (/proc, a network's folder): whether a folder can be made there shows by making one."""
         try:
-            Path(tempfile.mkdtemp(prefix=_prefix(self.folder, NEW), dir=parent)).rmdir()
+            tried = Path(tempfile.mkdtemp(prefix=_prefix(self.folder, NEW), dir=parent))
+            with suppress(FileNotFoundError):  # another run that begins here clears away what has no owner
+                tried.rmdir()
         except OSError as error:
             raise BadInput(f"{self.named}: cannot be written ({error.strerror}) in {parent}; give another --out") from None
 

@@ -10,7 +10,7 @@ from scipy.stats import gamma, kstest, multivariate_t, norm
 
 from ocp.diagnose.engine import search as engine_search
 from ocp.diagnose.engine.beam import Search, Weighed, weigh
-from ocp.diagnose.engine.channel_system import ReadingConditions
+from ocp.diagnose.engine.channel_system import UNSEEN, ReadingConditions
 from ocp.diagnose.engine.evidence import Tails, log_evidence, project, size_grid
 from ocp.diagnose.engine.findings import Name, Options
 from ocp.diagnose.engine.linearisation import linearised, positive_of
@@ -418,17 +418,49 @@ class Driving(LinearChannel):
         return found, (0.6 * self.columns[("e0", 0)][0] + 0.008 * self.system.residual[:, None])[:, None]
 
 
-def test_a_search_ends_at_the_fit_of_what_it_tells():
-    """About e0 another name seems better, about that one it is far worse: the search goes back to where it was."""
+class Nested(LinearChannel):
+    """Numbers of which effect e1 shows little about a fit that holds it."""
+
+    def variants(self, e, joint, scans=None):
+        """As given, else a twentieth."""
+        found, columns = super().variants(e, joint, scans)
+        return found, 0.05 * columns if e.name == "e1" and any(a.effect.name == "e1" for a in self.active) else columns
+
+
+class Unseen(Driving):
+    """Numbers of which effect e1 cannot be computed about its own fit."""
+
+    def variants(self, e, joint, scans=None):
+        """As given, else none."""
+        held = e.name == "e1" and any(a.effect.name == "e1" for a in self.active)
+        return UNSEEN if held else super().variants(e, joint, scans)
+
+
+def test_columns_of_one_fit_may_flatter_what_another_finds_far_worse():
     channel, known = problem_of(planted=((0, 0.6),))
     driving = Driving(channel.y, channel.A, channel.prior_sd, channel.columns)
     begin = linearised([driving], known, FEW)
-    problem, search = search_and_refit(begin, known, FEW)
     about_e0 = linearised([driving.with_active(begin.values(weigh(begin.pool, [0])))], known, FEW)
     assert weigh(about_e0.pool, [1]).log > weigh(about_e0.pool, [0]).log
-    assert [a.effect.name for a in problem.channels[0].active] == ["e0"]
+    problem, search = search_and_refit(begin, known, FEW)
     logs = {problem.names(k): s.log for k, s in search.sets.items()}
     assert logs[(Name("e0"),)] > logs[(Name("e1"),)] + 5.0
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(("kind", "planted"), [(Driving, {0: 0.6}), (Driving, {0: 0.6, 2: 0.35}), (Nested, {0: 0.6, 1: 0.6})])
+def test_a_search_that_goes_in_a_circle_ends_at_the_fit_of_what_is_told(kind, planted, seed):
+    channel, known = problem_of(planted=tuple(planted.items()), seed=seed)
+    made = kind(channel.y, channel.A, channel.prior_sd, channel.columns)
+    problem, _ = search_and_refit(linearised([made], known, FEW), known, FEW)
+    told = [a.effect.name for a in diagnose_channels([made], known, FEW).active]
+    assert told == [f"e{i}" for i in planted] == sorted(a.effect.name for a in problem.channels[0].active)
+
+
+def test_an_effect_that_cannot_be_computed_about_its_own_fit_ends_no_search():
+    channel, known = problem_of(planted=((0, 0.6),))
+    made = Unseen(channel.y, channel.A, channel.prior_sd, channel.columns)
+    assert diagnose_channels([made], known, FEW).p_none < 0.5
 
 
 def test_without_names_nothing_is_corrected():

@@ -127,7 +127,7 @@ def test_what_is_no_address_is_refused_before_the_work_begins(address):
         Hands(1, address)
 
 
-@pytest.mark.parametrize("address", ["tcp://host:8786", "10.0.0.2:8786", "tls://[fe80::1]:8786/"])
+@pytest.mark.parametrize("address", ["tcp://host:8786", "10.0.0.2:8786", "tls://[fe80::1%eth0]:8786/"])
 def test_an_address_is_one_with_or_without_a_protocol(address):
     assert Hands(1, address).scheduler == address
 

@@ -32,7 +32,6 @@ FEW = 20  # rows of a kind from which its noise is estimated
 # Logit of the correlated share and logarithm of tau in samples, as they usually are: what few rows cannot tell stays there.
 USUAL: Array = np.array([0.0, np.log(4.0)])
 USUAL_SD: Array = np.array([1.5, 0.8])
-NO_WEIGHT = 1e-6
 GROSS = 0.1  # weight of Student's t up to which a reading is gross, of no gap
 FREEDOMS = (4.0, 6.0, 10.0, 20.0, 60.0)  # of Student's t; 60 is as good as a normal law
 
@@ -181,13 +180,15 @@ def estimate_noise(run: Index, time: Array, residual: Array, before: CorrelatedN
     spread = 1.4826 * float(np.median(np.abs(rest - np.median(rest)))) or 1e-6
     step = float(np.median(runs.step[np.isfinite(runs.step)])) if len(rest) > len(runs.index) else 1.0
     weight = tail_weights((rest / spread) ** 2, 1, 6.0)
-    # Gross readings are as good as none, all others count alike: weights that follow the residuals know where the correlated part
-    # lies, and short runs would be given a slow one of any size that they do not have.
-    weight = np.where(weight > GROSS, 1.0, NO_WEIGHT)
+    # Without gross readings, and all others alike: weights that follow the residuals know where the correlated part lies, and
+    # short runs would be given a slow one of any size that they do not have.
+    good = weight > GROSS
+    part = Runs.of(run[good], time[good])
+    own, alike = np.column_stack([residual[good], _slow_course(part, time[good])]), np.ones(np.count_nonzero(good))
 
     def cost(x: Array) -> float:
         unlikely = np.sum(((x[1:] - USUAL) / USUAL_SD) ** 2)
-        return _restricted(runs, _noise(x, step), weight, columns) + float(unlikely)
+        return _restricted(part, _noise(x, step), alike, own) + float(unlikely)
 
     if before is None:
         start, reach = np.array([np.log(spread), 0.0, np.log(3.0)]), 1.0

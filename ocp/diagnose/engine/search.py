@@ -104,12 +104,13 @@ def search_and_refit(
         index = problem.index
         search.begin([frozenset(index[n] for n in names if n in index) for names in seeds], pairs=problem is first)
         rough = _grown(problem, search)
-        if flattered is not None:
-            flattered.put_right(search, problem)
-            flattered = None
         held = _all_active(problem.channels)
         diverged.converged(Name(*a.key) for a in held)
         diverged.strike(search, problem)
+        if flattered is not None:
+            search.grow()  # what is put right is whole
+            flattered.put_right(search, problem)
+            rough, flattered = False, None
         if rough and in_vain is not None and len(held) >= rules.SEARCHED_IN_VAIN and in_vain(problem, search):
             rough = False
             search.grow()
@@ -130,9 +131,13 @@ def search_and_refit(
                     continue
                 if channels is None:
                     (channels, flattered), been[key] = rather(been.get(key, ()), problem, library, options), ()
-                    if not channels:
+                    if channels:
+                        break
+                    if flattered is None:
                         return problem, search
-                    break
+                    flattered.put_right(search, problem)
+                    channels = flattered = None
+                    continue
                 key = effects_key(_all_active(channels), 2)
                 freeing = key not in tried  # a set that was tried is not tried for ever
                 tried.add(key)
@@ -156,8 +161,8 @@ def search_and_refit(
 
 @dataclass(frozen=True)
 class Flattered:
-    """Names that stand in the place of others, and by how much (log) columns about a fit rate them otherwise than columns about
-    that fit and about their own do on average."""
+    """Names in the place of others (none: beside them), and by how much (log) columns about a fit rate them better than columns
+    about that fit and about their own do on average."""
 
     names: set[Name]
     others: set[Name]
@@ -165,26 +170,27 @@ class Flattered:
 
     def put_right(self, search: Search, problem: Linearisation) -> None:
         """Weigh the sets of a search that have the names and not the others as the average does."""
-        names, others = ({problem.index[n] for n in part if n in problem.index} for part in (self.names, self.others))
+        names, others = ({problem.index[n] for n in part} for part in (self.names, self.others))
         for key, one in search.sets.items():
-            if names and names <= key and not others & key:
+            if names <= key and not others & key:
                 search.sets[key] = replace(one, log=one.log - self.log)
 
 
 def rather(
     earlier: Sequence[Channel], problem: Linearisation, library: Mapping[str, Effect], options: Options
 ) -> tuple[Sequence[Channel], Flattered | None]:
-    """The channels of an earlier fit, where what it holds is better than what is held now by the mean of what columns about
-    either fit say, and what columns about it flatter; else none. Columns about one fit may not hold about another: where a
-    run-out moves the flange its friction makes the run-out's pattern, and seems to explain it."""
+    """Of a circle of two fits the better one by the mean of what columns about either say: the channels of the earlier one, or
+    none where what is held now is better; and what columns about the better one flatter. Columns about one fit may not hold about
+    another: where a run-out moves the flange its friction makes the run-out's pattern, and seems to explain it."""
     now, then = ({Name(*a.key) for a in _all_active(one)} for one in (problem.channels, earlier))
     if not earlier or now == then:
         return (), None
     there = linearised(earlier, library, options)
-    if not now <= {*there.index}:
-        return earlier, None
+    if not now | then <= {*there.index} & {*problem.index}:
+        return (), None
     here, gain = (_weighed(about, then).log - _weighed(about, now).log for about in (problem, there))
-    return (earlier, Flattered(now - then, then - now, 0.5 * (here - gain))) if here + gain > 0 else ((), None)
+    better, worse, kept = (then, now, earlier) if here + gain > 0 else (now, then, ())
+    return kept, Flattered(worse - better or worse, better - worse, 0.5 * (here - gain)) if worse else None
 
 
 def _weighed(problem: Linearisation, names: Iterable[Name]) -> Weighed:
@@ -260,7 +266,8 @@ def _sharper(problem: Linearisation, weighed: Weighed, one: Active) -> Active:
     scans = problem.pool.families[family].scans
     steps = {k: _spacing([s[k] for s in scans if k in s]) for k in keys}
     # Physics has no place below: a curvature or a time of nothing divides by zero.
-    low = {p.key: min([p.low, *(s[p.key] for s in scans if p.key in s)]) for p in one.effect.parameters if not p.signed}
+    unsigned = [p for p in one.effect.parameters if not p.signed and p.low > 0]
+    low = {p.key: min([p.low, *(s[p.key] for s in scans if p.key in s)]) for p in unsigned}
     best, here = dict(one.scanned), one
     level, _ = _evidence(problem, others, one.effect, one.joint, [best])
     for _ in range(HALVINGS):

@@ -38,10 +38,9 @@ def refreshed(log: ForceLog, whitener: Whitener, residual: Array) -> Whitener:
     return whitener.with_noise(noise.reweighted(residual))
 
 
-# At rest within 3 % of the posterior's standard deviations. Far misfits of something nobody has named yet make the last steps
-# slow (the squares' own curvature is left out): they end where three steps together gain a hundredth of what one number more may
-# explain. A search that ends otherwise is a fit where less than one of the squares is to be gained, which changes no answer. One
-# that comes to rest takes less than half of the predictions.
+# At rest within 3 % of the posterior's standard deviations. Where far misfits of something nobody has named yet make the last
+# steps slow all the same, they end where three steps together gain a hundredth of what one number more may explain. A search that
+# ends otherwise is a fit where less than one of the squares is to be gained, which changes no answer.
 VALLEY = Valley(over=3, still=0.01, close=1.0, tries=45, lost=2)
 RULE = Rule(steps=25, rest=1e-3, reweighted=6, halvings=10, rise=1e-3, secant=True, valley=VALLEY)
 
