@@ -130,7 +130,7 @@ def search_and_refit(
                     diverged.strike(search, problem)
                     continue
                 if channels is None:
-                    (channels, flattered), been[key] = rather(been.get(key, ()), problem, library, options), ()
+                    (channels, flattered), been[key] = rather(been.get(key, ()), problem, search, library, options), ()
                     if channels:
                         break
                     if flattered is None:
@@ -177,13 +177,14 @@ class Flattered:
 
 
 def rather(
-    earlier: Sequence[Channel], problem: Linearisation, library: Mapping[str, Effect], options: Options
+    earlier: Sequence[Channel], problem: Linearisation, search: Search, library: Mapping[str, Effect], options: Options
 ) -> tuple[Sequence[Channel], Flattered | None]:
     """Of a circle of two fits the better one by the mean of what columns about either say: the channels of the earlier one, or
     none where what is held now is better; and what columns about the better one flatter. Columns about one fit may not hold about
-    another: where a run-out moves the flange its friction makes the run-out's pattern, and seems to explain it."""
+    another: where a run-out moves the flange its friction makes the run-out's pattern, and seems to explain it. Where a line of
+    the background has a part in either, fits do not hold all of it, and what was said last stands."""
     now, then = ({Name(*a.key) for a in _all_active(one)} for one in (problem.channels, earlier))
-    if not earlier or now == then:
+    if not earlier or now == then or any(_with_background(search, problem, names) for names in (now, then)):
         return (), None
     there = linearised(earlier, library, options)
     if not now | then <= {*there.index} & {*problem.index}:
@@ -191,6 +192,13 @@ def rather(
     here, gain = (_weighed(about, then).log - _weighed(about, now).log for about in (problem, there))
     better, worse, kept = (then, now, earlier) if here + gain > 0 else (now, then, ())
     return kept, Flattered(worse - better or worse, better - worse, 0.5 * (here - gain)) if worse else None
+
+
+def _with_background(search: Search, problem: Linearisation, names: set[Name]) -> bool:
+    """Whether the best set with these names has a line of the background, or none has them."""
+    families = {problem.index[n] for n in names if n in problem.index}
+    own = [k for k in search.sets if {f for f in k if not search.background[f]} == families]
+    return not own or bool(search.background[list(_best(search, own))].any())
 
 
 def _weighed(problem: Linearisation, names: Iterable[Name]) -> Weighed:
