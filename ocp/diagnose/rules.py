@@ -155,6 +155,10 @@ time: what the search would name on measured robots is not used. Reason: up to t
 SHARPER_GAIN = 0.5
 """[ln] That a scanned number between the grid's must gain. Reason: less is below one sigma of that number."""
 
+FAILED_FITS = 2
+"""[fits] After which a name that no fit ever held is given up. Guards: minutes, and names at which the contact has no
+balance. Reason: once may be for another name's sake."""
+
 HOPELESS_FITS = 3
 """[fits] Diverged one after another, from which on no other name is fitted. Guards: minutes, where the contact that was logged
 is not the believed one (a gain of three). Reason: of 38 logs of development none had more than one before a fit that rests."""

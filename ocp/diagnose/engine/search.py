@@ -18,6 +18,7 @@ counted once more, what then explains them best is fitted beside what was accept
 are grossly wrong. Without it other_hand_11 (springs that stiffen, lambda 3458) has no name (docs/diagnosis.md, Measured).
 """
 
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -39,10 +40,11 @@ from robots.pose import Array, Mask
 
 @dataclass
 class Diverged:
-    """Sets of names whose fit diverged, names that were in a fit that converged, how many fits diverged since, and those of which
-    channels."""
+    """Sets of names whose fit diverged, how often each name was new in one, names that were in a fit that converged, how many
+    fits diverged since, and those of which channels."""
 
     sets: set[frozenset[Name]] = field(default_factory=set)
+    count: Counter[Name] = field(default_factory=Counter)
     fitted: set[Name] = field(default_factory=set)
     since: int = 0
     channels: set[str] = field(default_factory=set)
@@ -52,6 +54,7 @@ class Diverged:
         found = frozenset(names)
         if found:  # without effects a channel is the one that was fitted
             self.sets.add(found)
+            self.count.update(found - self.fitted)
             self.since += 1
             self.channels.add(channel)
 
@@ -70,17 +73,19 @@ class Diverged:
 
     def names(self) -> list[Name]:
         """Names that are given up."""
-        return sorted({n for names in self.sets for n in names} - self.fitted) if self.hopeless else []
+        least = 1 if self.hopeless else rules.FAILED_FITS
+        return sorted(n for n, k in self.count.items() if k >= least and n not in self.fitted)
 
     def strike(self, search: Search, problem: Linearisation) -> None:
-        """Take the sets out of a search whose fit diverged; where it is hopeless all with names that no fit held."""
+        """Take the sets out of a search whose fit diverged, or that hold a name that is given up."""
         index = problem.index
+        gone = {index[n] for n in self.names() if n in index}
         failed = [{index[n] for n in names} for names in self.sets if all(n in index for n in names)]
         kernel = search.kernel | search.background
         stays = {index[n] for n in self.fitted if n in index} if self.hopeless else set(index.values())
         for key in list(search.sets):
             names = {f for f in key if not kernel[f]}
-            if names in failed or not names <= stays:
+            if gone & key or names in failed or not names <= stays:
                 del search.sets[key]
 
 
