@@ -452,7 +452,8 @@ def test_columns_of_one_fit_may_flatter_what_another_finds_far_worse():
 def test_a_search_that_goes_in_a_circle_ends_at_the_fit_of_what_is_told(kind, planted, seed):
     channel, known = problem_of(planted=tuple(planted.items()), seed=seed)
     made = kind(channel.y, channel.A, channel.prior_sd, channel.columns)
-    problem, _ = search_and_refit(linearised([made], known, FEW), known, FEW)
+    problem, search = search_and_refit(linearised([made], known, FEW), known, FEW)
+    assert search.sets[frozenset()].log == 0.0  # what all are weighed against
     told = [a.effect.name for a in diagnose_channels([made], known, FEW).active]
     assert told == [f"e{i}" for i in planted] == sorted(a.effect.name for a in problem.channels[0].active)
 

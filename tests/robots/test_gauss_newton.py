@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize as general
 
-from robots.gauss_newton import Rule, minimise
+from robots.gauss_newton import Rule, _learnt, minimise
 
 PRECISION = np.full(3, 0.1)
 RNG = np.random.default_rng(5)
@@ -59,3 +59,19 @@ def test_a_straight_problem_is_solved_in_one_step_either_way():
     for secant in (False, True):
         found = minimise(Curved(np.zeros(3), 0.0), PRECISION, Rule(5, rest=1e-9, reweighted=0, halvings=5, secant=secant))
         assert found.rested and found.steps == 2
+
+
+def test_a_step_teaches_what_gradients_say():
+    """The least change (in the norm of what gradients turned by) that is symmetric and has the missing part of the turn."""
+    before, after = Curved(np.zeros(3)), Curved(np.array([0.3, -0.2, 0.1]))
+    (e0, A0), (e1, A1), took = before.linearised(), after.linearised(), after.z - before.z
+
+    def slope(at: Curved) -> np.ndarray:
+        return np.array([0.5 * (cost(at.moved(d)) - cost(at.moved(-d))) / 2e-5 for d in 1e-5 * np.eye(3)])
+
+    found = _learnt(np.zeros((3, 3)), before.z, e0, A0, after.z, e1, A1, PRECISION)
+    turned, missed = slope(after) - slope(before), (A0 - A1).T @ e1
+    np.testing.assert_allclose(found @ took, missed, rtol=1e-9)
+    plain = (np.outer(missed, turned) + np.outer(turned, missed)) / (took @ turned)
+    plain -= (missed @ took) * np.outer(turned, turned) / (took @ turned) ** 2
+    np.testing.assert_allclose(found, plain, rtol=1e-6)
