@@ -20,6 +20,7 @@ from robots.pose import Array
 
 RELATIVE_RISE = 1e-9  # of the cost: rounding
 LEAST_SHARE = 0.2  # of a step that is relaxed
+FURTHER = 2.0  # times a step of the linear problem that one with curvature may go
 
 
 class Iterate(Protocol):
@@ -153,6 +154,9 @@ def minimise(start: P, precision: Array, rule: Rule) -> Minimum[P]:
             share = _relaxed(share, previous, step)
             previous = step.change
         there, left, halvings = _shortened(at, share * step.change, precision, costs[-1], rule)
+        if halvings and halvings == rule.halvings and curvature.any():  # what was learnt elsewhere does not hold here
+            curvature, taken, there, left = np.zeros_like(curvature), None, at, residual
+            continue
         taken = (at.z, residual, sensitivity) if rule.secant else None
         if taken is not None and len(costs) < reweighted:  # what comes next has other weights
             if halvings or curvature.any():
@@ -170,13 +174,15 @@ def minimise(start: P, precision: Array, rule: Rule) -> Minimum[P]:
 
 
 def _curved(step: LinearStep, curvature: Array) -> LinearStep:
-    """The step with what is known of the prediction's curvature (k, k) in the normal equations, in no direction beyond where the
-    linear problem is flattest."""
+    """The step with what is known of the prediction's curvature (k, k) in the normal equations, in no direction more than
+    `FURTHER` times as long."""
     if not curvature.any() or step.root is not None:
         return step
-    size, turn = np.linalg.eigh(step.normal + curvature)
-    size = np.maximum(size, np.linalg.eigvalsh(step.normal)[0])
-    return LinearStep(turn @ (turn.T @ (step.normal @ step.change) / size), step.normal, step.root)
+    root = np.linalg.cholesky(step.normal)
+    half = np.linalg.solve(root, curvature)
+    size, turn = np.linalg.eigh(np.eye(len(root)) + np.linalg.solve(root, half.T))
+    inner = turn @ ((turn.T @ (root.T @ step.change)) / np.maximum(size, 1.0 / FURTHER))
+    return LinearStep(np.linalg.solve(root.T, inner), step.normal)
 
 
 def _learnt(known: Array, before: Array, e0: Array, A0: Array, after: Array, e1: Array, A1: Array, precision: Array) -> Array:
