@@ -154,9 +154,6 @@ def minimise(start: P, precision: Array, rule: Rule) -> Minimum[P]:
             share = _relaxed(share, previous, step)
             previous = step.change
         there, left, halvings = _shortened(at, share * step.change, precision, costs[-1], rule)
-        if halvings and halvings == rule.halvings and curvature.any():  # what was learnt elsewhere does not hold here
-            curvature, taken, there, left = np.zeros_like(curvature), None, at, residual
-            continue
         taken = (at.z, residual, sensitivity) if rule.secant else None
         if taken is not None and len(costs) < reweighted:  # what comes next has other weights
             if halvings or curvature.any():

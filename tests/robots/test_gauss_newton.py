@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize as general
 
-from robots.gauss_newton import Rule, _learnt, minimise
+from robots.gauss_newton import FURTHER, Rule, _curved, _learnt, linear_step, minimise
 
 PRECISION = np.full(3, 0.1)
 RNG = np.random.default_rng(5)
@@ -75,3 +75,11 @@ def test_a_step_teaches_what_gradients_say():
     plain = (np.outer(missed, turned) + np.outer(turned, missed)) / (took @ turned)
     plain -= (missed @ took) * np.outer(turned, turned) / (took @ turned) ** 2
     np.testing.assert_allclose(found, plain, rtol=1e-6)
+
+
+@pytest.mark.parametrize(("share", "longer"), [(-0.3, 1.0 / 0.7), (-0.9, FURTHER), (-3.0, FURTHER), (3.0, 0.25)])
+def test_a_step_with_curvature_goes_no_further_than_is_sound(share, longer):
+    """Along what curves the other way than products of sensitivities do the minimum may be anywhere."""
+    residual, sensitivity = Curved(np.zeros(3)).linearised()
+    step = linear_step(residual, sensitivity, np.zeros(3), PRECISION)
+    np.testing.assert_allclose(_curved(step, share * step.normal).change, longer * step.change, rtol=1e-9)
