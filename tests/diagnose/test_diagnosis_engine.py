@@ -15,7 +15,7 @@ from ocp.diagnose.engine.evidence import Tails, log_evidence, project, size_grid
 from ocp.diagnose.engine.findings import Name, Options
 from ocp.diagnose.engine.linearisation import linearised, positive_of
 from ocp.diagnose.engine.pool import Member, given, scan, scan_one
-from ocp.diagnose.engine.search import search_and_refit
+from ocp.diagnose.engine.search import outliers, search_and_refit
 from ocp.diagnose.rules import NOISE_TRUST, TAILS, TAILS_TOLD, WRONG_SIGN
 from ocp.diagnose.verdict.diagnosis import diagnose_channels, refitted
 from ocp.diagnose.verdict.location import kernel_tests
@@ -486,3 +486,11 @@ def test_a_scanned_number_is_not_sharpened_to_where_physics_has_none(monkeypatch
     problem = SimpleNamespace(index={name: 0}, pool=SimpleNamespace(families=[family]))
     one = engine_search._sharper(problem, Weighed(0.0, ()), Active(belt, 0, np.ones(1), {"half_per_m": 50.0}, np.eye(1)))
     assert one.scanned["half_per_m"] == min(tried) == 10.0
+
+
+@pytest.mark.parametrize(("weight", "gross"), [([1.0, 0.9, 0.01], 1), ([1.0, 0.01, 0.01], 0), (None, 0)])
+def test_gross_readings_are_few_or_the_fit_is_far_off(weight, gross):
+    channel = SimpleNamespace(
+        gap=lambda: np.zeros((3, 1)), fit=SimpleNamespace(weight=None if weight is None else np.array(weight))
+    )
+    assert np.count_nonzero(outliers(channel)) == gross

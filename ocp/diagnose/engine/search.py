@@ -338,10 +338,13 @@ def outliers_rechecked(
 
 
 def outliers(channel: Channel) -> Mask:
-    """Readings (n,) of a channel that are set aside as gross; none where its fit weighs no single readings."""
+    """Readings (n,) of a channel that are set aside as gross; none where its fit weighs no single readings, or where most are so
+    far off: then the fit is."""
     n = len(channel.gap())
     weight = getattr(getattr(channel, "fit", None), "weight", None)
-    return np.zeros(n, bool) if weight is None or np.shape(weight) != (n,) else is_outlier(weight)
+    if weight is None or np.shape(weight) != (n,):
+        return np.zeros(n, bool)
+    return is_outlier(weight) & ~is_outlier(np.median(weight))
 
 
 def _count(channels: Sequence[Channel]) -> int:
