@@ -88,6 +88,24 @@ class Diverged:
             if gone & key or names in failed or not names <= stays:
                 del search.sets[key]
 
+    def grown_whole(self, search: Search, problem: Linearisation) -> bool:
+        """Grow a search whole, sets whose fit diverged left out; False: it is no longer rough."""
+        search.grow()
+        self.strike(search, problem)
+        return False
+
+    def fitted_with(self, active: tuple[Active, ...], search: Search, problem: Linearisation) -> list[Channel] | None:
+        """The channels fitted with effects; None where a fit diverges: such sets are taken out of the search."""
+        found = []
+        for channel in problem.channels:
+            try:
+                found.append(channel.with_active(active))
+            except Infeasible:
+                self.add((Name(*a.key) for a in active), channel.name)
+                self.strike(search, problem)
+                return None
+        return found
+
 
 def search_and_refit(
     first: Linearisation,
@@ -97,8 +115,7 @@ def search_and_refit(
     in_vain: Callable[[Linearisation, Search], bool] | None = None,
 ) -> tuple[Linearisation, Search]:
     """The last linearisation and its sets: accept, refit and linearise anew until the best set is what is active, or until, with
-    `rules.SEARCHED_IN_VAIN` names accepted, the arm still misses far more than noise and the search is `in_vain`. diverged: fits
-    that did so far, and what this search adds."""
+    `rules.SEARCHED_IN_VAIN` names accepted, a rough search is `in_vain`. diverged: fits that did so far, added to."""
     problem, diverged = first, Diverged() if diverged is None else diverged
     seeds: list[tuple[Name, ...]] = []
     tried: set[tuple[object, ...]] = set()
@@ -113,13 +130,11 @@ def search_and_refit(
         diverged.converged(Name(*a.key) for a in held)
         diverged.strike(search, problem)
         if flattered is not None:
-            search.grow()  # what is put right is whole
+            rough = diverged.grown_whole(search, problem)  # what is put right is whole
             flattered.put_right(search, problem)
-            rough, flattered = False, None
+            flattered = None
         if rough and in_vain is not None and len(held) >= rules.SEARCHED_IN_VAIN and in_vain(problem, search):
-            rough = False
-            search.grow()
-            diverged.strike(search, problem)
+            rough = diverged.grown_whole(search, problem)
             if in_vain(problem, search):
                 return problem, search
         channels: Sequence[Channel] | None = None
@@ -130,9 +145,7 @@ def search_and_refit(
             if key in tried | {effects_key(held, 2)}:
                 channels = outliers_rechecked(problem, held, library, options) if freeing else None
                 if channels is None and rough:
-                    rough = False
-                    search.grow()
-                    diverged.strike(search, problem)
+                    rough = diverged.grown_whole(search, problem)
                     continue
                 if channels is None:
                     (channels, flattered), been[key] = rather(been.get(key, ()), problem, search, library, options), ()
@@ -148,15 +161,7 @@ def search_and_refit(
                 tried.add(key)
                 break
             tried.add(key)
-            channels = []
-            for channel in problem.channels:
-                try:
-                    channels.append(channel.with_active(chosen))
-                except Infeasible:
-                    diverged.add((Name(*a.key) for a in chosen), channel.name)
-                    diverged.strike(search, problem)
-                    channels = None
-                    break
+            channels = diverged.fitted_with(chosen, search, problem)
         seeds = [problem.names(k) for k in search.best()]
         problem = linearised(channels, library, options)
         if sharper := _sharpened(problem):
