@@ -17,7 +17,7 @@ from ocp.data import BLADE, CELL
 from ocp.model.cell import Cell, read_cell
 from ocp.model.prepare import wheel_cover
 from ocp.plan.paths import LaidPaths, PlanOptions, lay_paths
-from ocp.plan.removal.footprint import LinePatches, planned_patches
+from ocp.plan.removal.footprint import LinePatches, Pressing, planned_patches
 from ocp.plan.removal.result import Figures, SideRemoval, figures_of
 from ocp.plan.removal.surface import ContactRows, core_cells, work_done
 from ocp.plan.removal.wanted import programmed_work
@@ -41,7 +41,7 @@ def driven(cell: Cell, place: int, path: BladePath, patches: LinePatches) -> Con
 def judged(cell: Cell, laid: LaidPaths) -> Figures:
     """The shares of plan.json for the lines as they are laid."""
     cover = wheel_cover(cell)
-    known = [(path, one) for path in laid.paths if (one := planned_patches(cell, cover, path)) is not None]
+    known = [(path, one) for path in laid.paths if (one := planned_patches(Pressing.of(cell), cover, path)) is not None]
     parts = [driven(cell, k, *both) for k, both in enumerate(known)]
     rows = ContactRows(*(np.concatenate([getattr(one, name) for one in parts]) for name in ContactRows.__dataclass_fields__))
     paths, patches = (list(column) for column in zip(*known, strict=True))
@@ -85,7 +85,7 @@ def askew(blade: Path) -> None:
     print(f"\n| {blade.stem} line {line.line}, turn deg | b mm | " + " | ".join(f"h {1e3 * h:g} mm" for h in spacings) + " |")
     print("|---|---" + len(spacings) * "|---" + "|")
     for turn in np.radians([0.0, 10.0, 20.0, 28.0]):
-        patches = planned_patches(cell, wheel_cover(cell), replace(line, turn=float(turn)))
+        patches = planned_patches(Pressing.of(cell), wheel_cover(cell), replace(line, turn=float(turn)))
         assert patches is not None
         k = len(patches.at) // 2
         told = (f"{100 * patches.unevenness(h)[k]:.1f} %" for h in spacings)

@@ -5,10 +5,12 @@ contact they are seen in the wheel's unrolled frame (x = R times the angle, y al
 what departs from the local quadratic is linear in each of them. Where there is no surface there is no blade.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
+from scipy.interpolate import PchipInterpolator
 from scipy.spatial import cKDTree
 
 from ocp.contact.wheel.signorini import LocalShape
@@ -19,6 +21,7 @@ from robots.pose import Array, skew
 REACH = 0.026  # m about the planned point; what lies farther off is left to `ocp.plan.clearance`
 FACING = 0.2  # smallest cosine between a triangle's normal and the wheel for it to be touched from this side
 END_ZONE = 4e-3  # m at both ends of a pass where contacts are solved more densely
+FIRST = 4  # stations from one that is solved at once to the next; between them only where that is not smooth enough
 
 
 @dataclass(frozen=True)
@@ -196,3 +199,29 @@ def contact_stations(s: Array, spacing: float) -> Array:
     near = np.arange(0.0, END_ZONE, spacing / 3)
     wanted = np.concatenate([near, np.arange(END_ZONE, length - END_ZONE, spacing), length - near])
     return np.unique(np.abs(s[:, None] - s[0] - np.clip(wanted, 0.0, length)).argmin(axis=0))
+
+
+def solved_where_needed(
+    s: Array, solve: Callable[[Numbers], Array], off: Callable[[Numbers, Array, Array], Array], tolerance: float
+) -> tuple[Numbers, Array]:
+    """Those of the stations at s (n,) m, rising, between which cubics give what others have, and the values (k, m) there.
+
+    solve: values (j, m) at stations (j,); off: how far (j,) those lie from values that were expected, in the unit of `tolerance`.
+    A stretch between two that were solved is left alone when its middle is as expected.
+    """
+    index = np.unique(np.append(np.arange(0, len(s), FIRST), len(s) - 1))
+    values, open_ = solve(index), np.ones(len(index) - 1, bool)
+    while True:
+        open_ &= np.diff(index) > 1
+        if not open_.any():
+            return index, values
+        middle = (index[:-1] + index[1:])[open_] // 2
+        expected, found = PchipInterpolator(s[index], values)(s[middle]), solve(middle)
+        smooth = off(middle, expected, found) <= tolerance
+        halves = np.ones(len(open_), np.int64)
+        halves[open_] = 2
+        again = open_.copy()
+        again[open_] = ~smooth
+        order = np.argsort(np.concatenate([index, middle]))
+        index, values = np.concatenate([index, middle])[order], np.concatenate([values, found])[order]
+        open_ = np.repeat(again, halves)

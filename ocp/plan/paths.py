@@ -12,15 +12,18 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.spatial import cKDTree
 
+from ocp.contact.wheel.cover import Cover
 from ocp.model.blade_gap import FACING, SurfaceCloud
 from ocp.model.cell import Cell, wheel_frame
 from ocp.model.prepare import wheel_cover
 from ocp.plan.clearance import enclosed
 from ocp.plan.passes.stretches import CannotGrind
-from ocp.plan.removal.dwell import PROBE, askew, probed_lines, with_feeds
+from ocp.plan.removal.dwell import PROBE, askew, at_feeds, even_lines, probed_lines
+from ocp.plan.removal.footprint import Pressing
 from ocp.plan.removal.surface import SideCells, flank_cells
 from ocp.plan.removal.wanted import Wanted, wanted_of
 from ocp.plan.rules import FLANGE_SHARE, STROKE_RESERVE, WHEEL_ROOM
+from ocp.shell.cache import code_hash, content_key, flattened, rebuilt, remember
 from robots.errors import BadInput
 from robots.gravity import GRAVITY
 from robots.kinematics import forward
@@ -99,7 +102,8 @@ def lay_paths(cell: Cell, stl: Path, options: PlanOptions) -> LaidPaths:
     wanted = wanted_of(cell, blade, cloud, options.stock)
     beyond: list[CannotGrind] = []
     if options.stock is not None:
-        paths, beyond = with_feeds(cell, wheel_cover(cell), paths, flanks, wanted)
+        r = even_lines(Pressing.of(cell), wheel_cover(cell), paths, flanks, wanted)
+        paths, beyond = at_feeds(cell, paths, r, wanted)
     anything = np.zeros((0, 3))  # a path made elsewhere may lead over fillet and platform
     return LaidPaths(blade, paths, cloud, anything, flanks, wanted, beyond, (*blade.notices, *shape.notices, *notices))
 
@@ -129,24 +133,51 @@ def refuse_flange(cell: Cell, paths: list[BladePath]) -> None:
         )
 
 
+@dataclass(frozen=True)
+class LaidLines:
+    """Lines on a blade at a feed of 1 m/s, the r (n,) of `even_lines` by the numbers of those that have one, the flanks in cells,
+    points (k, 3) m on what is not aerofoil, notices in sentences."""
+
+    paths: list[BladePath]
+    r: dict[str, Array]
+    flanks: list[SideCells]
+    beside: Array
+    notices: list[str]
+
+
 def _laid_lines(cell: Cell, blade: Blade, shape: AerofoilShape, cloud: SurfaceCloud, options: PlanOptions) -> LaidPaths:
-    """Lines as near to each other as the patch's width asks for, each at the feed that makes their sum what is wanted."""
-    wanted = wanted_of(cell, blade, cloud, options.stock)
-    chosen = _pass_options(cell, options.step)
+    """Lines as near to each other as the patch's width asks for, each at the feed that makes their sum what is wanted.
+
+    How they lie goes neither with the feed nor with where wheel and blade stand in the cell, and is kept.
+    """
+    wanted, chosen = wanted_of(cell, blade, cloud, options.stock), replace(_pass_options(cell, options.step), feed=1.0)
+    pressing, cover = Pressing.of(cell), wheel_cover(cell) if options.even else None
+    given = pressing, cover, chosen, blade.content, cell.workpiece.aerofoil, replace(wanted, source=None)
+    key = content_key(code_hash(), *(part for pair in sorted(flattened(given).items()) for part in pair))
+    laid = rebuilt(LaidLines, remember("lines", key, lambda: flattened(_lines_on(blade, shape, chosen, pressing, cover, wanted))))
+    paths = [replace(path, feed=cell.process.feed * path.feed) for path in laid.paths]
     beyond: list[CannotGrind] = []
-    looked: list[BladePath] = []
     if options.even:
-        cover = wheel_cover(cell)
+        paths, beyond = at_feeds(cell, paths, [laid.r.get(str(k)) for k in range(len(paths))], wanted)
+    told = (*blade.notices, *shape.notices, *laid.notices)
+    return LaidPaths(blade, paths, cloud, laid.beside, laid.flanks, wanted, beyond, told)
+
+
+def _lines_on(
+    blade: Blade, shape: AerofoilShape, chosen: PassOptions, pressing: Pressing, cover: Cover | None, wanted: Wanted
+) -> LaidLines:
+    """Lines on a blade; no `cover`: as far apart as `chosen` has them."""
+    looked: list[BladePath] = []
+    if cover is not None:
         look = replace(chosen, spacing=min(chosen.spacing, PROBE), step=PROBE, wheel_radius=0.0)
-        spread, looked = probed_lines(cell, cover, passes(blade, shape, look)[0])
+        spread, looked = probed_lines(pressing, cover, passes(blade, shape, look)[0])
         chosen = replace(chosen, spread=spread)
     paths, notices = passes(blade, shape, chosen)
     paths = askew(paths, looked)
     flanks = flank_cells(shape, ground_windows(blade, shape, chosen), paths, 0.0)
-    if options.even:
-        paths, beyond = with_feeds(cell, cover, paths, flanks, wanted)
-    beside = obstacles(blade, shape)
-    return LaidPaths(blade, paths, cloud, beside, flanks, wanted, beyond, (*blade.notices, *shape.notices, *notices))
+    r = [] if cover is None else even_lines(pressing, cover, paths, flanks, wanted)
+    known = {str(k): own for k, own in enumerate(r) if own is not None}
+    return LaidLines(paths, known, flanks, obstacles(blade, shape), notices)
 
 
 _latest: dict[str, tuple[AerofoilShape, SurfaceCloud]] = {}

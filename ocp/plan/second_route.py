@@ -11,13 +11,15 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline, PchipInterpolator, interp1d
 
 from ocp.contact.wheel.cover import Cover
 from ocp.contact.wheel.signorini import Contact, LocalShape, solve_force
 from ocp.effects.engine.evaluate import ARM_LAYOUT, ArmPlace, ArmRows, ContactPlace, added_overlap, arm_shift
-from ocp.model.blade_gap import SurfaceCloud, SurfaceShape, contact_stations, surface_shape
+from ocp.model.blade_gap import SurfaceCloud, SurfaceShape, contact_stations, solved_where_needed, surface_shape
 from ocp.model.cell import Cell
+from ocp.plan.rules import FLANGE_FORCE_TOLERANCE, RIGID_FORCE_TOLERANCE
 from robots.gravity import GRAVITY
 from robots.pose import Array, apply
 from robots.reference_kinematics import elementary_forward, elementary_frames
@@ -29,6 +31,7 @@ FIXED_POINT_STEPS = 4
 DIFFERENCE = 1e-6  # rad, central differences of the contact point
 STATION_SPACING = 2.8e-3  # m between contacts solved; not the planner's stations
 FORCE_SPACING = 1.0  # N between contacts solved where the planned force changes
+STATION_MISS = 0.05  # of what the force may be off by: a contact is left out between two where it adds no more than that
 FORCE_STEPS = 4  # Newton steps on the force at a station, until one is below the next line
 FORCE_STEP_ENOUGH = 0.1  # N; the law is so smooth that what is left after it is below 1e-3 N
 
@@ -116,19 +119,29 @@ def verify_pass(
         _linear_compliance(cell, believed, J, e[at], n_base[at], t_base[at], compliance[waypoint], mu)
         for mu in (wheel.friction, 1.0, 0.0)
     ]
-    needed, slope, contact = [], [], None
-    for i, k in enumerate(at):
-        base = _local_shape(cell, path, int(waypoint[i]), n_base[k], t_base[k], e[k], lateral[k])
-        shape = surface_shape(wheel, cloud, base, T[k], on_path["p"][k])
-        one = slice(k, k + 1)
-        here = {name: value[one] for name, value in seen.items()}
-        sample = StationContacts(cell, q[one], on_path["p"][one], n[one], t[one], T[one], e[one], lateral[one], [base], here)
-        linear = [given[i] for given in pushed]
-        F, rate, contact = _equilibrium(cell, cover, shape, sample, delta[k], float(planned[k]), linear, contact)
-        slope.append(rate)
-        needed.append(delta[k] - F * rate)
+
+    def chain(stations: NDArray[np.int64]) -> Array:
+        """Overlap m at which the chain's tangent meets no force, and its m/N."""
+        tangent, contact = [], None
+        for i in stations:
+            k, one = at[i], slice(at[i], at[i] + 1)
+            base = _local_shape(cell, path, int(waypoint[i]), n_base[k], t_base[k], e[k], lateral[k])
+            shape = surface_shape(wheel, cloud, base, T[k], on_path["p"][k])
+            here = {name: value[one] for name, value in seen.items()}
+            sample = StationContacts(cell, q[one], on_path["p"][one], n[one], t[one], T[one], e[one], lateral[one], [base], here)
+            linear = [given[i] for given in pushed]
+            F, rate, contact = _equilibrium(cell, cover, shape, sample, delta[k], float(planned[k]), linear, contact)
+            tangent.append((delta[k] - F * rate, rate))
+        return np.array(tangent)
+
+    def off(stations: NDArray[np.int64], *both: Array) -> Array:
+        expected, found = ((delta[at[stations]] - overlap) / rise for overlap, rise in (one.T for one in both))
+        return np.abs(expected - found)
+
+    limit = RIGID_FORCE_TOLERANCE if cell.flange is None else FLANGE_FORCE_TOLERANCE
+    chosen, tangents = solved_where_needed(s[at], chain, off, STATION_MISS * limit)
     # Where the chain's tangent meets no force varies smoothly, whatever the force; the overlap is judged at every millisecond.
-    overlap, rise = PchipInterpolator(s[at], np.column_stack([needed, slope]))(s).T
+    overlap, rise = PchipInterpolator(s[at[chosen]], tangents)(s).T
     force = (delta - overlap) / rise
     stopped = np.interp(s, s[at], [_stopped(cell, T[k], n_base[k]) for k in at])
     return VerifiedPass(time, s, np.maximum(force, 0.0), delta, planned, stopped)

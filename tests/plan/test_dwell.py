@@ -34,7 +34,7 @@ from ocp.plan.removal.dwell import (
     probed_lines,
     programmable,
 )
-from ocp.plan.removal.footprint import planned_patches
+from ocp.plan.removal.footprint import Pressing, planned_patches
 from ocp.plan.removal.result import SideRemoval, figures_of
 from ocp.plan.removal.surface import ContactRows, SideCells, core_cells, work_done
 from ocp.plan.removal.wanted import Wanted, programmed_work
@@ -74,7 +74,7 @@ def driven(cell, paths: list[BladePath], patches) -> ContactRows:
 
 def judged(cell, laid):
     cover = wheel_cover(cell)
-    patches = [planned_patches(cell, cover, path) for path in laid.paths]
+    patches = [planned_patches(Pressing.of(cell), cover, path) for path in laid.paths]
     rows, sides = driven(cell, laid.paths, patches), []
     half = [float(one.half_axes[:, 0].max()) for one in patches]
     for one in laid.flanks:
@@ -97,7 +97,7 @@ def test_lines_and_feeds_make_the_surface_even(cell, laid):
 
 
 def planned_next(cell, path) -> float:
-    return float(planned_patches(cell, wheel_cover(cell), path).half_axes[:, 1].min())
+    return float(planned_patches(Pressing.of(cell), wheel_cover(cell), path).half_axes[:, 1].min())
 
 
 def test_without_it_lines_are_as_far_apart_as_asked_and_not_even(cell):
@@ -130,12 +130,14 @@ def test_a_flat_profile_asks_for_nearer_lines_than_a_parabola():
 def test_a_wheel_that_stands_askew_makes_flat_lines_even(cell):
     """Straight, a flat blade gets steps however near its lines lie; turned, the edges run out over the patch's length."""
     cover, flat = wheel_cover(cell), on_a_plane(0)
-    straight = planned_patches(cell, cover, flat)
-    spread, looked = probed_lines(cell, cover, [flat, replace(on_a_plane(1), side="concave")])
+    straight = planned_patches(Pressing.of(cell), cover, flat)
+    spread, looked = probed_lines(Pressing.of(cell), cover, [flat, replace(on_a_plane(1), side="concave")])
     assert [one.side for one in looked] == ["convex", "concave"] and 0.2 < abs(looked[0].turn) <= cell.process.turn_tolerance
     asked = spread["convex"][1][0]
     assert asked > 1.5 * even_spacing(straight)
-    assert planned_patches(cell, cover, looked[0]).unevenness(asked).max() <= UNEVEN < straight.unevenness(asked).max()
+    assert (
+        planned_patches(Pressing.of(cell), cover, looked[0]).unevenness(asked).max() <= UNEVEN < straight.unevenness(asked).max()
+    )
 
 
 def test_a_line_that_begins_on_the_outline_of_its_wall_is_judged_by_the_rest(cell):
@@ -144,7 +146,7 @@ def test_a_line_that_begins_on_the_outline_of_its_wall_is_judged_by_the_rest(cel
     worn, flat = replace(cell, wheel=wheel), on_a_plane(0)
     extent = flat.extent.copy()
     extent[0] = 1.4e-7
-    patches = planned_patches(worn, wheel_cover(worn), replace(flat, extent=extent))
+    patches = planned_patches(Pressing.of(worn), wheel_cover(worn), replace(flat, extent=extent))
     assert patches.at[0] > flat.s[0] and patches.half_axes[:, 1].min() > 3e-3
 
 
@@ -152,14 +154,14 @@ def test_round_lines_are_not_turned_and_those_of_a_side_all_alike(cell, laid):
     look = PassOptions(spacing=6e-3, step=6e-3, clamp_normal=(0.0, 0.0, 1.0), clamp_offset=0.01)
     blade = read_blade(cell.workpiece.stl)
     shape = find_shape(blade, cell.workpiece.aerofoil)
-    _, looked = probed_lines(cell, wheel_cover(cell), passes(blade, shape, look)[0])
+    _, looked = probed_lines(Pressing.of(cell), wheel_cover(cell), passes(blade, shape, look)[0])
     assert {one.turn for one in looked if one.side == "convex"} == {0.0}
     (hollow,) = {one.turn for one in looked if one.side == "concave"}
     assert abs(hollow) > 0.6 * cell.process.turn_tolerance
     again = askew([replace(path, turn=0.0) for path in laid.paths], looked)
     assert all(path.turn in {one.turn for one in looked if one.side == path.side} for path in again)
     round_ = replace(bar_pass(radius=0.012), side="convex")
-    assert [one.turn for one in probed_lines(cell, wheel_cover(cell), [round_])[1]] == [0.0]
+    assert [one.turn for one in probed_lines(Pressing.of(cell), wheel_cover(cell), [round_])[1]] == [0.0]
 
 
 def test_cells_beyond_the_outermost_lines_are_not_made_good_before_them(cell):

@@ -22,7 +22,7 @@ from ocp.plan.passes.smoothness import axis_rows, axis_use, between_bends, deriv
 from ocp.plan.passes.solve import LEAST_TURN, TURN_KEPT, PassSolver
 from ocp.plan.passes.stage import N_PARAMETERS, N_ROWS, N_Z, ObjectiveWeights
 from ocp.plan.passes.transcription import AROUND, N_DYNAMIC, N_MOTION, REACH, transcribe
-from ocp.plan.removal.footprint import CELL, contacts_along, line_patches, planned_patches
+from ocp.plan.removal.footprint import CELL, Pressing, contacts_along, line_patches, planned_patches
 from ocp.plan.rules import JERK_TIME, SPEED_SHARE
 from robots.errors import Infeasible
 from robots.kinematics import link_frames
@@ -328,7 +328,7 @@ def test_the_patch_planned_at_a_turn_is_that_of_a_posture_with_it():
         heading = (along * float(np.cos(seen.turn[20])), along * float(np.sin(seen.turn[20])))
         shape = LocalShape(*map(float, seen.curvature[20]), extent=path.extent[20], heading=heading)
         direct = line_patches(np.zeros(1), [solve_force(cover, 20.0, shape)], [heading])
-        planned = planned_patches(cell, cover, path)
+        planned = planned_patches(Pressing.of(cell), cover, path)
         assert seen.turn[20] == pytest.approx(path.turn, abs=0.03)
         assert moments(planned, len(planned.at) // 2) == pytest.approx(moments(direct, 0), rel=0.05)
 

@@ -17,7 +17,7 @@ from scipy.interpolate import CubicSpline, PchipInterpolator
 from ocp.contact.wheel.cover import Cover
 from ocp.contact.wheel.law import WheelLaw
 from ocp.contact.wheel.signorini import solve_force
-from ocp.model.blade_gap import SurfaceCloud, contact_stations
+from ocp.model.blade_gap import SurfaceCloud, contact_stations, solved_where_needed
 from ocp.model.cell import Cell
 from ocp.model.theta import Theta
 from ocp.plan.clearance import CollisionScene, SecondaryContact, find_secondary_contact, wheel_room
@@ -125,7 +125,11 @@ def solve_directly(ground: Ground, problem: PassProblem, force: Array, solved: E
             indentation.append(contact.indentation)
         return np.array(indentation) - solved.parts[index, 1]
 
-    more_there = missed(index)
+    def off(stations: NDArray[np.int64], expected: Array, found: Array) -> Array:
+        return np.abs(expected - found) * solved.stiffness[index[stations]]
+
+    chosen, more_there = solved_where_needed(path.s[index], lambda k: missed(index[k]), off, DIRECT_TOLERANCE / 3.0)
+    index = index[chosen]
     rough = np.abs(np.diff(more_there)) * solved.stiffness[index[1:]] > ROUGH * force_tolerance(ground.cell)
     between = rises_between(force, index, rough)
     if len(between):

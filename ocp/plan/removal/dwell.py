@@ -18,7 +18,7 @@ from ocp.plan.passes.course import LEAST_PEAK, Engagement, air_to_air, lengthene
 from ocp.plan.passes.smoothness import node_times
 from ocp.plan.passes.solve import TURN_KEPT
 from ocp.plan.passes.stretches import CannotGrind
-from ocp.plan.removal.footprint import LinePatches, planned_patches_of
+from ocp.plan.removal.footprint import LinePatches, Pressing, planned_patches_of
 from ocp.plan.removal.surface import ContactRows, Mask, SideCells, core_cells, pressures
 from ocp.plan.removal.wanted import Wanted, refuse_uncovered
 from ocp.plan.rules import FEEDS, LEAST_RAMP
@@ -43,7 +43,9 @@ SHALLOW = 0.2  # of the mean wanted depth, below which a miss counts as there: m
 RANGE = (0.5, 2.0)  # of the r of evenly shared lines: no more is asked of an arm
 
 
-def probed_lines(cell: Cell, cover: Cover, probes: Sequence[BladePath]) -> tuple[dict[str, tuple[Array, Array]], list[BladePath]]:
+def probed_lines(
+    pressing: Pressing, cover: Cover, probes: Sequence[BladePath]
+) -> tuple[dict[str, tuple[Array, Array]], list[BladePath]]:
     """`PassOptions.spread` from lines laid to look at, all of a side, and those lines with the turn at which each may lie
     farthest from the next.
 
@@ -54,25 +56,26 @@ def probed_lines(cell: Cell, cover: Cover, probes: Sequence[BladePath]) -> tuple
     spread, looked = {}, []
     for side in dict.fromkeys(path.side for path in probes):
         lines = [path for path in probes if path.side == side]
-        straight = planned_patches_of(cell, cover, lines)
+        straight = planned_patches_of(pressing, cover, lines)
         shares = np.linspace(0.0, 1.0, len(lines)) if len(lines) > 1 else np.array([0.5])
         known = [(*one, patches) for *one, patches in zip(shares, lines, straight, strict=True) if patches is not None]
         if known:
-            turn, spacing = _turned(cell, cover, [(path, patches) for _, path, patches in known])
+            turn, spacing = _turned(pressing, cover, [(path, patches) for _, path, patches in known])
             spread[side] = (np.array([share for share, _, _ in known]), spacing)
             looked += [replace(path, turn=turn) for _, path, _ in known]
     return spread, looked
 
 
-def _turned(cell: Cell, cover: Cover, lines: Sequence[tuple[BladePath, LinePatches]]) -> tuple[float, Array]:
+def _turned(pressing: Pressing, cover: Cover, lines: Sequence[tuple[BladePath, LinePatches]]) -> tuple[float, Array]:
     """The turn for a side's lines, each with its footprints under a wheel that stands straight, and the even distance m beside
     each: none where sums of most have no steps without, else the least at which distances are nearly the largest, judged at the
     part of it that the optimiser keeps to."""
     ways = [(0.0, np.array([even_spacing(straight) for _, straight in lines]))]
     if np.median([own.unevenness(EVEN * float(own.half_axes[:, 1].min())).max() for _, own in lines]) <= STEPS:
         return ways[0]
-    turns = np.outer(cell.process.turn_tolerance * ASKEW, (1.0, -1.0)).ravel()
-    turned = planned_patches_of(cell, cover, [replace(path, turn=TURN_KEPT * float(one)) for one in turns for path, _ in lines])
+    turns = np.outer(pressing.turn_tolerance * ASKEW, (1.0, -1.0)).ravel()
+    tried = [replace(path, turn=TURN_KEPT * float(one)) for one in turns for path, _ in lines]
+    turned = planned_patches_of(pressing, cover, tried)
     for k, turn in enumerate(turns):
         patches = turned[k * len(lines) : (k + 1) * len(lines)]
         spacing = [least if own is None else even_spacing(own) for own, least in zip(patches, ways[0][1], strict=True)]
@@ -160,25 +163,35 @@ class _Asked:
         return _Asked(cKDTree(points), normals, depth, weight)
 
 
-def with_feeds(
-    cell: Cell, cover: Cover, paths: Sequence[BladePath], flanks: Sequence[SideCells], wanted: Wanted
-) -> tuple[list[BladePath], list[CannotGrind]]:
-    """The paths with the feeds that together take off what is wanted on the asked cells of the flanks, and what of them is beyond
-    what the programmed force and the feeds of `ocp.plan.rules.FEEDS` reach.
+def even_lines(
+    pressing: Pressing, cover: Cover, paths: Sequence[BladePath], flanks: Sequence[SideCells], wanted: Wanted
+) -> list[Array | None]:
+    """r (n,) at the waypoints of the paths, by which all of them together take off what is wanted on the asked cells of the
+    flanks: the programmed feed over r. None for a path on which the wheel bears nowhere, or off the flanks.
 
-    A path on which the wheel bears nowhere, or off the flanks, keeps its feed. Raises BadInput: a map of the wanted depth leaves
-    asked surface out.
+    Raises BadInput: a map of the wanted depth leaves asked surface out.
     """
+    found: list[Array | None] = [None] * len(paths)
     if not flanks:
-        return list(paths), []
-    asked, timed, lines = _Asked.of(flanks, wanted), list(paths), {}
-    for k, (path, patches) in enumerate(zip(paths, planned_patches_of(cell, cover, paths), strict=True)):
+        return found
+    asked, lines = _Asked.of(flanks, wanted), {}
+    for k, (path, patches) in enumerate(zip(paths, planned_patches_of(pressing, cover, paths), strict=True)):
         if patches is not None:
-            lines[k] = _line(cell, path, straight_on(path, patches), patches, asked)
+            lines[k] = _line(pressing, path, straight_on(path, patches), patches, asked)
     if lines:
         r = _solved(list(lines.values()), asked.weight * _passed(flanks, [paths[k] for k in lines]), asked.depth)
         for (k, line), own in zip(lines.items(), r, strict=True):
-            timed[k] = replace(paths[k], feed=cell.process.feed / np.interp(paths[k].s, line.nodes, own))
+            found[k] = np.interp(paths[k].s, line.nodes, own)
+    return found
+
+
+def at_feeds(
+    cell: Cell, paths: Sequence[BladePath], r: Sequence[Array | None], wanted: Wanted
+) -> tuple[list[BladePath], list[CannotGrind]]:
+    """The paths at the feeds of `even_lines`, and what of them is beyond what the programmed force and the feeds of
+    `ocp.plan.rules.FEEDS` reach. A path without r keeps its feed."""
+    feed = cell.process.feed
+    timed = [path if own is None else replace(path, feed=feed / own) for path, own in zip(paths, r, strict=True)]
     beyond = [error for path in timed if (error := beyond_reach(cell, path, wanted)) is not None]
     return [replace(path, feed=np.clip(path.feed, *programmable(path))) for path in timed], beyond
 
@@ -193,9 +206,9 @@ def even_feeds(cell: Cell, flanks: Sequence[SideCells], wanted: Wanted, lines: S
     if not known or not flanks:
         return [None] * len(lines)
     asked = _Asked.of(flanks, wanted)
-    weight = asked.weight * _passed(flanks, [line.path for line in known.values()])
+    weight, pressing = asked.weight * _passed(flanks, [line.path for line in known.values()]), Pressing.of(cell)
     for _ in range(ROUNDS):
-        with side_by_side(_driven, [(line,) for line in known.values()], cell, asked) as found:
+        with side_by_side(_driven, [(line,) for line in known.values()], pressing, asked) as found:
             added = dict(zip(known, found, strict=True))
         r = _solved(list(added.values()), weight, asked.depth)
         for (k, line), own in zip(known.items(), r, strict=True):
@@ -228,18 +241,18 @@ def straight_on(path: BladePath, patches: LinePatches) -> ContactRows:
     return ContactRows(np.zeros(len(s), int), p + (s - inside)[:, None] * t, n, t, inside, force, np.full(len(s), s[1] - s[0]))
 
 
-def _driven(cell: Cell, asked: _Asked, line: DrivenLine) -> _Line:
+def _driven(pressing: Pressing, asked: _Asked, line: DrivenLine) -> _Line:
     """What a line adds as it will be driven."""
-    return _line(cell, line.path, line.rows(), line.patches, asked)
+    return _line(pressing, line.path, line.rows(), line.patches, asked)
 
 
-def _line(cell: Cell, path: BladePath, rows: ContactRows, patches: LinePatches, asked: _Asked) -> _Line:
+def _line(pressing: Pressing, path: BladePath, rows: ContactRows, patches: LinePatches, asked: _Asked) -> _Line:
     """A line with what leads in to it and out of it, there at the r of its ends; under r = 1 force goes with feed, so that every
     row takes what the path's force takes on the way that it stands for."""
-    length, process = float(path.s[-1]), cell.process
+    length = float(path.s[-1])
     row, index, pressure = pressures(asked.tree, asked.normals, rows, patches)
     inside = np.clip(rows.s, 0.0, length)
-    share = np.interp(inside, path.s, path.force) / process.force * rows.slide * process.pass_spacing
+    share = np.interp(inside, path.s, path.force) / pressing.force * rows.slide * pressing.spacing
     depth = csr_matrix((pressure * share[row], (index, row)), shape=(len(asked.normals), len(rows.s)))
     nodes = np.linspace(0.0, length, max(int(np.ceil(length / NODE)), 2) + 1)
     place = inside / nodes[1]

@@ -41,6 +41,26 @@ PROFILE_STEPS = 4  # points in each cell of a footprint where its profile is sum
 
 
 @dataclass(frozen=True)
+class Pressing:
+    """What of a cell says how its wheel presses on a blade and what that takes off, wherever both stand and whatever the feed:
+    the wheel's radius m, signs of the belt's travel and of the feed against it, rad that the wheel may be turned, the force N,
+    the distance m of neighbouring lines."""
+
+    radius: float
+    travel: float
+    sigma: int
+    turn_tolerance: float
+    force: float
+    spacing: float
+
+    @staticmethod
+    def of(cell: Cell) -> "Pressing":
+        """That of a cell."""
+        wheel, process = cell.wheel, cell.process
+        return Pressing(wheel.radius, wheel.travel, process.sigma, process.turn_tolerance, process.force, process.pass_spacing)
+
+
+@dataclass(frozen=True)
 class LinePatches:
     """Footprints at stations along a line, linear in between.
 
@@ -136,16 +156,16 @@ def contacts_along(
     return line_patches(np.array(at), contacts, headings) if at else None
 
 
-def planned_patches(cell: Cell, cover: Cover, path: BladePath) -> LinePatches | None:
+def planned_patches(pressing: Pressing, cover: Cover, path: BladePath) -> LinePatches | None:
     """Footprints along a pass before its postures are known: the middle of the wheel, the path's turn, no tilt, the local
     quadratic.
 
     Stations that are too hollow for the wheel are passed over (the optimiser tells of them), and those on the outline of the
     wall, where a fillet goes on that the local quadratic does not have; None where all of them are.
     """
-    along = -cell.wheel.travel * cell.process.sigma
+    along = -pressing.travel * pressing.sigma
     heading = (along * float(np.cos(path.turn)), along * float(np.sin(path.turn)))
-    curvature = np.transpose(turned_curvature(path.curvature, np.array(path.turn), cell.wheel.radius))
+    curvature = np.transpose(turned_curvature(path.curvature, np.array(path.turn), pressing.radius))
     at = []
     contacts: list[Contact] = []
     for k in contact_stations(path.s, 2.0 * STATION_SPACING):
@@ -159,9 +179,9 @@ def planned_patches(cell: Cell, cover: Cover, path: BladePath) -> LinePatches | 
     return line_patches(np.array(at), contacts, [heading] * len(at)) if at else None
 
 
-def planned_patches_of(cell: Cell, cover: Cover, paths: Sequence[BladePath]) -> list[LinePatches | None]:
+def planned_patches_of(pressing: Pressing, cover: Cover, paths: Sequence[BladePath]) -> list[LinePatches | None]:
     """`planned_patches` of every path."""
-    with side_by_side(planned_patches, [(path,) for path in paths], cell, cover) as found:
+    with side_by_side(planned_patches, [(path,) for path in paths], pressing, cover) as found:
         return list(found)
 
 
