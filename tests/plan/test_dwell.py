@@ -313,3 +313,42 @@ def test_lines_at_an_end_of_what_can_be_driven_are_named(cell):
     told = feeds_told(cell, [bar_pass(), slow], Wanted(), laid=True)
     assert "2 lines lie at most" in told and "feeds of lines 7 are at an end" in told and "feeds are 2 to" in told
     assert "lie at most" not in feeds_told(cell, [bar_pass()], Wanted(), laid=False)
+
+
+def test_laid_lines_are_kept_whatever_the_feed_and_the_place_of_wheel_and_blade(cell, laid, monkeypatch, tmp_path):
+    monkeypatch.setenv("GRINDPLAN_CACHE", str(tmp_path))
+    first = lay_paths(cell, cell.workpiece.stl, OPTIONS)
+    for one, other in zip(first.paths, laid.paths, strict=True):
+        np.testing.assert_array_equal(one.p, other.p)
+        np.testing.assert_array_equal(one.feed, other.feed)
+
+    laying = []
+    monkeypatch.setattr("ocp.plan.paths.even_lines", lambda *given: laying.append(given) or [None] * len(given[2]))
+    moved = np.array(cell.workpiece.T_flange_blade)
+    moved[:3, 3] += 1e-3
+    elsewhere = replace(
+        cell,
+        process=replace(cell.process, feed=0.93 * cell.process.feed),
+        wheel=replace(cell.wheel, centre=cell.wheel.centre + 1e-3),
+        workpiece=replace(cell.workpiece, T_flange_blade=moved),
+    )
+    again = lay_paths(elsewhere, cell.workpiece.stl, OPTIONS)
+    assert not laying
+    assert again.notices == first.notices and len(again.flanks) == len(first.flanks)
+    for one, other in zip(again.paths, first.paths, strict=True):
+        np.testing.assert_array_equal(one.p, other.p)
+        np.testing.assert_allclose(one.feed, 0.93 * other.feed, rtol=1e-12)
+
+    others = {
+        "force": replace(cell, process=replace(cell.process, force=21.0)),
+        "spacing": replace(cell, process=replace(cell.process, pass_spacing=5e-3)),
+        "margin": replace(cell, process=replace(cell.process, tip_margin=0.007)),
+        "cover": replace(cell, wheel=replace(cell.wheel, cover_modulus=1.1 * cell.wheel.cover_modulus)),
+        "belt": replace(cell, wheel=replace(cell.wheel, belt_speed=-cell.wheel.belt_speed)),
+        "depth": replace(cell, process=replace(cell.process, preston=2e-13, removal=5e-6)),
+        "clamp": replace(cell, workpiece=replace(cell.workpiece, clamp_offset=cell.workpiece.clamp_offset + 1e-3)),
+    }
+    for name, other in others.items():
+        laying.clear()
+        lay_paths(other, cell.workpiece.stl, OPTIONS)
+        assert laying, name
