@@ -76,6 +76,11 @@ class Sheets:
         """The sheet that is being filled."""
         return self.all[-1]
 
+    @property
+    def room(self) -> float:
+        """How much of the last sheet is left, inch."""
+        return FOOT - self.y
+
     def need(self, height: float) -> None:
         """Begin a new sheet where less than `height` inch is left."""
         if self.y + height > FOOT:

@@ -3,7 +3,7 @@
 On the page the panels are small SVG of their own, so that pointing at one can mark the place on the blade (viewer/page.js).
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -24,8 +24,10 @@ from robots.pose import Array
 
 MAX_POINTS = 400
 """Points drawn of one pass on the page; a panel is about 400 pixels wide."""
-PASSES_PER_SHEET = 18
-"""Nine rows of two: about 16 mm high each, enough to read a tenth of the axis."""
+PANEL_ROW = 0.94
+"""Inch on a sheet of a row of two panels: about 16 mm high each, enough to read a tenth of the axis."""
+BESIDE_ROWS = 0.8  # inch of caption and edges beside the rows
+LEAST_ROWS = 4  # on a sheet that has something else above them
 
 
 @dataclass(frozen=True)
@@ -101,20 +103,20 @@ class ForcePanels(Part):
 
     def on_sheets(self, sheets: Sheets) -> None:
         """Two columns, over as many sheets as they take."""
-        for plot in self._plots():
-            plot.on_sheets(sheets)
+        first, count = 0, len(self.report.passes)
+        while first < count:
+            left = (count - first + 1) // 2
+            sheets.need(BESIDE_ROWS + PANEL_ROW * min(left, LEAST_ROWS))
+            last = min(first + 2 * int((sheets.room - BESIDE_ROWS) / PANEL_ROW), count)
+            caption = f"In the order of the program: passes {first + 1} to {last} of {count}."
+            height = 0.5 + PANEL_ROW * ((last - first + 1) // 2)
+            draw = partial(_draw_forces, self.report, self.report.passes[first:last])
+            Plot(f"force-{first}", caption, height, draw).on_sheets(sheets)
+            first = last
 
     def beginning(self) -> float:
-        """The first sheet's."""
-        return next(self._plots()).beginning()
-
-    def _plots(self) -> Iterator[Plot]:
-        count = len(self.report.passes)
-        for first in range(0, count, PASSES_PER_SHEET):
-            last = min(first + PASSES_PER_SHEET, count)
-            caption = f"In the order of the program: passes {first + 1} to {last} of {count}."
-            height = 0.5 + 0.94 * ((last - first + 1) // 2)
-            yield Plot(f"force-{first}", caption, height, partial(_draw_forces, self.report, self.report.passes[first:last]))
+        """The first rows."""
+        return BESIDE_ROWS + PANEL_ROW * min((len(self.report.passes) + 1) // 2, LEAST_ROWS)
 
 
 def _draw_forces(report: PlanReport, group: Sequence[PassReport], canvas: Canvas) -> None:
