@@ -207,7 +207,7 @@ def solved_where_needed(
     """Those of the stations at s (n,) m, rising, between which cubics give what others have, and the values (k, m) there.
 
     solve: values (j, m) at stations (j,); off: how far (j,) those lie from values that were expected, in the unit of `tolerance`.
-    A stretch between two that were solved is left alone when its middle is as expected.
+    A stretch between two that were solved is left alone when its middle is as expected, and those of the stretches beside it.
     """
     index = np.unique(np.append(np.arange(0, len(s), FIRST), len(s) - 1))
     values, open_ = solve(index), np.ones(len(index) - 1, bool)
@@ -220,8 +220,9 @@ def solved_where_needed(
         smooth = off(middle, expected, found) <= tolerance
         halves = np.ones(len(open_), np.int64)
         halves[open_] = 2
-        again = open_.copy()
-        again[open_] = ~smooth
+        rough = np.zeros(len(open_) + 2, bool)
+        rough[1:-1][open_] = ~smooth
+        again = open_ & (rough[:-2] | rough[1:-1] | rough[2:])
         order = np.argsort(np.concatenate([index, middle]))
         index, values = np.concatenate([index, middle])[order], np.concatenate([values, found])[order]
         open_ = np.repeat(again, halves)
