@@ -75,11 +75,12 @@ class ContactContext:
     turn rad; p, n, t (3): contact point, normal and feed in the blade frame; e, belt_direction, n_base, axis (3): base frame;
     R_flange (3, 3), R_blade (3, 3): in the base frame; s m; setpoint N, feed m/s, belt m/s; time s in the run, clock s in the
     campaign; ground_before; warm, wheel_warm K above the reference; travel: sign of the motion along the pass (+1 with increasing
-    s); radius m, friction of the cell; normal_stiffness
-    N/m: dF per m of overlap; friction_deflection m: by how much more the parts give way per unit of the friction coefficient;
-    lever m: height of the contact over the clamp's plane; joint_give (6) N m^2: by how many m the contact gives per rad/(N m) of
-    each joint; push_axis (3): direction in which the flange pushes the blade, base frame; clamp_deflection m: how much of the
-    parts is the clamp's stiffness; line of the blade; down (3,): unit direction of gravity in the base frame.
+    s); radius m, friction of the cell; normal_stiffness N/m: dF per m of overlap; friction_deflection m: by how much more the
+    parts give way per unit of the friction coefficient; lever m: height of the contact over the clamp's plane; joint_lever (6)
+    m/rad: by how far each joint moves the contact out of the wheel; joint_push (6) N m: the contact's torques about the axes,
+    beside tau (6) N m of the weight, all positive along +q; push_axis (3): direction in which the flange pushes the blade, base
+    frame; clamp_deflection m: how much of the parts is the clamp's stiffness; line of the blade; down (3,): unit direction of
+    gravity in the base frame.
     """
 
     q: ca.SX
@@ -115,7 +116,9 @@ class ContactContext:
     normal_stiffness: ca.SX
     friction_deflection: ca.SX
     lever: ca.SX
-    joint_give: ca.SX
+    joint_lever: ca.SX
+    joint_push: ca.SX
+    tau: ca.SX
     push_axis: ca.SX
     clamp_deflection: ca.SX
     line: ca.SX

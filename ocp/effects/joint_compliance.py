@@ -24,6 +24,6 @@ EFFECT = Effect(
     subsystem="joint",
     joints=(1, 2, 3, 4, 5, 6),
     joint=lambda x, j, scanned: at_joint(j, scanned["unit"] * x.tau[j - 1]),
-    overlap=lambda x, j, scanned: row(-scanned["unit"] * x.joint_give[j - 1]),
+    overlap=lambda x, j, scanned: row(-scanned["unit"] * x.joint_lever[j - 1] * x.joint_push[j - 1]),
     **in_units(Parameter("rad_per_Nm", "rad/(N m)", 3e-7, 5e-6, signed=False), LARGEST, _unit),
 )

@@ -53,7 +53,9 @@ class Model:
     T_base_blade: ca.SX
     q_real: ca.SX
     extra: ca.SX
-    joint_give: ca.SX
+    joint_lever: ca.SX
+    joint_push: ca.SX
+    tau: ca.SX
 
 
 def build_model(cell: Cell, law: WheelLaw, sigma: int = 1, uncertain: bool = False, any_bend: bool = False) -> Model:
@@ -68,7 +70,7 @@ def build_model(cell: Cell, law: WheelLaw, sigma: int = 1, uncertain: bool = Fal
     par = Theta.split(theta)
 
     bends = ca.SX.sym("bends", 6) if any_bend else ca.SX(ca.DM(bending(cell)))
-    frames, q_real, T_base_flange = _arm(cell, q, par, bends, effects)
+    frames, q_real, T_base_flange, tau = _arm(cell, q, par, bends, effects)
     R_real, p_real = _blade_pose(cell, T_base_flange, par)
     p = p_real + R_real @ waypoint["p"]
     n, t = R_real @ waypoint["n"], R_real @ waypoint["t"]
@@ -87,16 +89,16 @@ def build_model(cell: Cell, law: WheelLaw, sigma: int = 1, uncertain: bool = Fal
         F / (1 + par["cover_stiffness_scale"]), curvature[0], curvature[1], curvature[2], lateral, tilt[0], tilt[1]
     )
     d_blade = F * _blade_compliance(cell, waypoint["blade_compliance"], n, t, force_direction, par)
-    joint_give = F * _joint_give(frames, p, e, force_direction)
-    d_robot = ca.dot(par["c"], joint_give)
+    joint_lever, joint_push = (_about_joints(cell, frames, p, of) for of in (e, F * force_direction))
+    d_robot = ca.dot(par["c"], joint_lever * joint_push)
     parts = ca.vertcat(x_flange, d_wheel, d_blade, d_robot)
     extra = ca.SX(0)
     if effects.on_contact:
         seen = {"lateral": lateral, "tilt": tilt, "arc": arc, "turn": turn, "curvature": curvature, "axis": axis, "e": e}
         seen |= {name: waypoint[name] for name in ("p", "n", "t")} | {"belt_direction": belt, "n_base": n, "R_blade": R_real}
-        seen |= {"joint_give": joint_give, "q": q}
+        seen |= {"joint_lever": joint_lever, "joint_push": joint_push, "tau": tau, "q": q}
         extra = _extra(cell, effects, friction, F, parts, T_base_flange[:3, :3], seen)
-        parts, extra, joint_give = ca.substitute([parts, extra, joint_give], [friction], [ca.SX(cell.wheel.friction)])
+        parts, extra, joint_push = ca.substitute([parts, extra, joint_push], [friction], [ca.SX(cell.wheel.friction)])
     return Model(
         q=q,
         F=F,
@@ -114,7 +116,9 @@ def build_model(cell: Cell, law: WheelLaw, sigma: int = 1, uncertain: bool = Fal
         T_base_blade=ca.vertcat(ca.horzcat(R_real, p_real), ca.DM([[0, 0, 0, 1]])),
         q_real=q_real,
         extra=extra,
-        joint_give=joint_give,
+        joint_lever=joint_lever,
+        joint_push=joint_push,
+        tau=tau,
     )
 
 
@@ -148,8 +152,11 @@ def bending(cell: Cell) -> Array:
     return np.array([float(j in cell.compliant_joints) for j in range(1, 7)])
 
 
-def _arm(cell: Cell, q: ca.SX, par: dict[str, ca.SX], bends: ca.SX, effects: ModelEffects) -> tuple[list[ca.SX], ca.SX, ca.SX]:
-    """Link frames, joints and flange pose of the arm that is bent by gravity and moved by the cell's effects."""
+def _arm(
+    cell: Cell, q: ca.SX, par: dict[str, ca.SX], bends: ca.SX, effects: ModelEffects
+) -> tuple[list[ca.SX], ca.SX, ca.SX, ca.SX]:
+    """Link frames, joints and flange pose of the arm that is bent by gravity and moved by the cell's effects, and the torque of
+    the weight about its axes."""
     robot, mdh, sign = cell.robot, ca.reshape(par["mdh"], 5, 6).T, cell.robot.sign
 
     def torque(joints: ca.SX) -> ca.SX:
@@ -161,7 +168,7 @@ def _arm(cell: Cell, q: ca.SX, par: dict[str, ca.SX], bends: ca.SX, effects: Mod
     q_real = deflected_joints(q, torque, c)
     frames = chain(q_real, mdh, sign)
     if not cell.effects:
-        return frames, q_real, frames[-1]
+        return frames, q_real, frames[-1], torque(q_real)
     context = planned_arm_context(
         robot,
         cell.workpiece.payload_name,
@@ -176,7 +183,7 @@ def _arm(cell: Cell, q: ca.SX, par: dict[str, ca.SX], bends: ca.SX, effects: Mod
     change = effects.arm(context)
     q_real = deflected_joints(q + change.dq, lambda joints: torque(joints) + change.dtau, c)
     frames = change.moved(chain(q_real, mdh, sign))
-    return frames, q_real, frames[-1]
+    return frames, q_real, frames[-1], torque(q_real) + change.dtau
 
 
 def _blade_pose(cell: Cell, T_base_flange: ca.SX, par: dict[str, ca.SX]) -> tuple[ca.SX, ca.SX]:
@@ -261,11 +268,11 @@ def _blade_compliance(cell: Cell, c: ca.SX, n: ca.SX, t: ca.SX, f: ca.SX, par: d
     return total / (1 + par["blade_stiffness_scale"]) + 1 / cell.workpiece.clamp_stiffness
 
 
-def _joint_give(frames: list[ca.SX], p: ca.SX, e: ca.SX, f: ca.SX) -> ca.SX:
-    """Displacement of the contact along e per newton and per rad/(N m) of each joint (6) m^2: the parts of e^T J K^-1 J^T f
-    (PHYSICS 3.1). The joints' signs cancel."""
+def _about_joints(cell: Cell, frames: list[ca.SX], p: ca.SX, v: ca.SX) -> ca.SX:
+    """J^T v (6) at the point p, positive along +q: of a direction how far p moves along it, m/rad, of a force its torques N m.
+    The arm gives e^T J K^-1 J^T f (PHYSICS 3.1)."""
     levers = [ca.cross(frame[:3, 2], p - frame[:3, 3]) for frame in frames[:6]]
-    return ca.vertcat(*(ca.dot(lever, e) * ca.dot(lever, f) for lever in levers))
+    return ca.vertcat(*(sign * ca.dot(lever, v) for sign, lever in zip(cell.robot.sign.tolist(), levers, strict=True)))
 
 
 def _shoulder(cell: Cell, q: ca.SX) -> ca.SX:

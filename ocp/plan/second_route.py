@@ -115,6 +115,7 @@ def verify_pass(
     at = np.unique(np.clip(np.append(at, np.flatnonzero(np.diff(np.floor(changed / FORCE_SPACING)))), 0, len(s) - 1))
     waypoint = np.abs(path.s - s[at, None]).argmin(axis=1)
     J = _jacobian(cell, believed, q_real[at], on_path["p"][at])
+    levers, weight = np.einsum("ij,ijk->ik", e[at], J), believed.torque(q_real[at])
     pushed = [
         _linear_compliance(cell, believed, J, e[at], n_base[at], t_base[at], compliance[waypoint], mu)
         for mu in (wheel.friction, 1.0, 0.0)
@@ -128,7 +129,10 @@ def verify_pass(
             base = _local_shape(cell, path, int(waypoint[i]), n_base[k], t_base[k], e[k], lateral[k])
             shape = surface_shape(wheel, cloud, base, T[k], on_path["p"][k])
             here = {name: value[one] for name, value in seen.items()}
-            sample = StationContacts(cell, q[one], on_path["p"][one], n[one], t[one], T[one], e[one], lateral[one], [base], here)
+            about = levers[i : i + 1], weight[i : i + 1]
+            sample = StationContacts(
+                cell, q[one], on_path["p"][one], n[one], t[one], T[one], e[one], lateral[one], *about, [base], here
+            )
             linear = [given[i] for given in pushed]
             F, rate, contact = _equilibrium(cell, cover, shape, sample, delta[k], float(planned[k]), linear, contact)
             tangent.append((delta[k] - F * rate, rate))
@@ -166,8 +170,9 @@ def gaps(
         return np.asarray(left)
     shapes = [_local_shape(cell, path, at, *of) for of in zip(n_base, t_base, e, lateral, strict=True)]
     p, n, t, blade = (np.broadcast_to(one, (len(q), 3)) for one in (p, n, t, compliance))
-    samples = StationContacts(cell, q, p, n, t, T, e, lateral, shapes, seen)
     J = _jacobian(cell, believed, q_real, p)
+    about = np.einsum("ij,ijk->ik", e, J), believed.torque(q_real)
+    samples = StationContacts(cell, q, p, n, t, T, e, lateral, *about, shapes, seen)
     rigid = _linear_compliance(cell, believed, J, e, n_base, t_base, blade, wheel.friction)
     none = np.zeros(len(q))
     parts, slopes = np.column_stack([out, none, none, none]), np.column_stack([push**2 * give, none, rigid[:, :2]])
@@ -228,7 +233,8 @@ def moved_arm(cell: Cell, arm: BelievedRobot, q: Array, q_real: Array, seen: Map
 @dataclass(frozen=True)
 class StationContacts:
     """m contacts of a pass: commanded joints q (m, 6), points, normals and feeds (m, 3) in the blade frame, T_base_blade (m, 4,
-    4), radials e (m, 3), lateral (m,) m, the local shapes, numbers (m, k) of the cell's conditions there."""
+    4), radials e (m, 3), lateral (m,) m, levers (m, 6) m/rad of the joints along e, torques of the weight
+    (m, 6) N m, the local shapes, numbers (m, k) of the cell's conditions there."""
 
     cell: Cell
     q: Array
@@ -238,12 +244,14 @@ class StationContacts:
     T: Array
     e: Array
     lateral: Array
+    levers: Array
+    weight: Array
     shapes: Sequence[LocalShape]
     seen: Mapping[str, Array]
 
-    def overlap(self, F: Array, parts: Array, slopes: Array, friction_deflection: Array, joint_give: Array) -> Array:
+    def overlap(self, F: Array, parts: Array, slopes: Array, friction_deflection: Array, joint_push: Array) -> Array:
         """Overlap (m,) m that the cell's effects add at forces F (m,) N; parts (m, 4) m and slopes (m, 4) m/N of flange, wheel,
-        blade, robot; friction_deflection (m,) m: by how much more the parts give way per unit of friction; joint_give (m, 6) of
+        blade, robot; friction_deflection (m,) m: by how much more the parts give way per unit of friction; joint_push (m, 6) of
         `ContactContext`."""
         cell, wheel, R, m = self.cell, self.cell.wheel, self.T[:, :3, :3], len(self.T)
         clamp, start = cell.workpiece, cell.wheel.contact_direction
@@ -258,7 +266,9 @@ class StationContacts:
         blocks |= {"F": F, "parts": parts, "slopes": slopes, "normal_stiffness": 1.0 / slopes.sum(axis=1)}
         blocks |= {"friction_deflection": friction_deflection, "clamp_deflection": F / clamp.clamp_stiffness}
         blocks |= {
-            "joint_give": joint_give,
+            "joint_push": joint_push,
+            "joint_lever": self.levers,
+            "tau": self.weight,
             "q": self.q,
             "p": self.p,
             "n": self.n,
@@ -292,7 +302,7 @@ def _equilibrium(
     """Force N at an overlap delta m, by Newton from F, and m/N of the whole chain; linear: `_linear_compliance` with the
     cell's friction, with 1 and with 0; beside: a contact solved nearby. Returns the contact too."""
     push, stroke = _flange(cell, sample.T[0], sample.T[0, :3, :3] @ sample.n[0])
-    rigid, give = np.split(linear[0], [2])
+    rigid, push_of = np.split(linear[0], [2])
     rubbed = float(np.sum(linear[1][:2] - linear[2][:2]))
     for _ in range(FORCE_STEPS):
         contact = beside = solve_force(cover, F, shape, beside)
@@ -302,7 +312,7 @@ def _equilibrium(
         slopes = (push**2 * stroke[1] * (x == free), 1.0 / contact.stiffness, *rigid)
         more = 0.0
         if cell.effects:
-            given = (np.array([value]) for value in (F, parts, slopes, F * rubbed, F * give))
+            given = (np.array([value]) for value in (F, parts, slopes, F * rubbed, F * push_of))
             more = float(sample.overlap(*given)[0])
         step = (delta + more - sum(parts)) / sum(slopes)
         F = max(F + step, 0.05 * F)
@@ -340,8 +350,8 @@ def _jacobian(cell: Cell, believed: BelievedRobot, q: Array, p: Array) -> Array:
 def _linear_compliance(
     cell: Cell, believed: BelievedRobot, J: Array, e: Array, n: Array, t: Array, blade: Array, friction: float
 ) -> Array:
-    """Displacement of contacts per newton (m, 8): m/N from the blade with its fixture, and from joints (PHYSICS 3.1); m^2 from
-    each joint per rad/(N m) of its compliance.
+    """Displacement of contacts per newton (m, 8): m/N from the blade with its fixture, and from joints (PHYSICS 3.1); and
+    torques N m about the joints per newton.
 
     J (m, 3, 6) of `_jacobian`; e, n, t (m, 3): outward radial, normal and feed in the base frame; blade (m, 3) m/N: its
     compliance c_nn, c_nt, c_nb there.
@@ -349,8 +359,9 @@ def _linear_compliance(
     f = e + friction * np.cross(cell.wheel.axis, e) * np.sign(cell.wheel.belt_speed)
     along = [np.einsum("ij,ij->i", f, v) for v in (-n, t, np.cross(n, t))]
     held = np.einsum("ij,ji->i", blade, np.array(along))
-    give = np.einsum("ij,ijk->ik", e, J) * np.einsum("ijk,ij->ik", J, f)
-    return np.column_stack([held + 1.0 / cell.workpiece.clamp_stiffness, give @ believed.compliance, give])
+    push = np.einsum("ijk,ij->ik", J, f)
+    give = (np.einsum("ij,ijk->ik", e, J) * push) @ believed.compliance
+    return np.column_stack([held + 1.0 / cell.workpiece.clamp_stiffness, give, push])
 
 
 def _stopped(cell: Cell, T_base_blade: Array, n: Array) -> float:

@@ -129,6 +129,8 @@ def test_noise_has_the_covariance_that_is_believed(machine):
         "joint_coupling:3=5e-5,source_joint=1",
         "tool_flex=1e-7",
         "load_backlash:3=5e-5,torque_Nm=63.9",
+        "load_backlash:5=1e-4,torque_Nm=15.637",
+        "load_backlash:6=1e-4,torque_Nm=4.991",  # where the contact's torque is larger than the weight's
         "joint_compliance:1=1e-6",
         "joint_compliance:3=5e-7",
         "gear_harmonic:2=2e-5,order=60,phase_rad=1",

@@ -49,7 +49,9 @@ def samples(seed=0):
         "push_axis": unit(N),
         "clamp_deflection": np.full(N, 2e-6),
         "belt_direction": unit(N),
-        "joint_give": rng.uniform(0, 80, (N, 6)),
+        "joint_lever": rng.uniform(-0.4, 0.4, (N, 6)),
+        "joint_push": rng.uniform(-10, 10, (N, 6)),
+        "tau": rng.uniform(-60, 60, (N, 6)),
     }
 
 
@@ -81,7 +83,13 @@ def expected(name, v, x):
     if name == "wheel_frame_shift":
         give[name] = after * (x["e"] @ v["m"])
     if name == "joint_compliance":
-        give[name] = -v["rad_per_Nm"] * x["joint_give"][:, 0]
+        give[name] = -v["rad_per_Nm"] * x["joint_lever"][:, 0] * x["joint_push"][:, 0]
+    if name in ("load_backlash", "joint_stiffening"):  # what joint 1 turns when the contact's torque joins the weight's
+        turn = {
+            "load_backlash": lambda tau: v["half_width_rad"] * np.tanh(tau / v["torque_Nm"]),
+            "joint_stiffening": lambda tau: -v["rad_per_Nm3"] * tau**3,
+        }[name]
+        give[name] = -x["joint_lever"][:, 0] * (turn(x["tau"][:, 0] + x["joint_push"][:, 0]) - turn(x["tau"][:, 0]))
     if name == "tool_flex":  # in the flange's own axes: x and y give, z does not
         felt = x["e"] + 0.35 * sign[:, None] * x["belt_direction"]
         own = [np.einsum("nij,ni->nj", x["R_flange"], direction)[:, :2] for direction in (x["e"], felt)]

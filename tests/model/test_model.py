@@ -210,7 +210,8 @@ def test_friction_and_heading_go_with_the_belt_whose_speed_may_be_a_symbol(sign)
     w, theta = problem().waypoints[0], believed_theta(cell).values
 
     def seen(model, *more):
-        told = ca.vertcat(model.joint_give[0], model.turn, model.residual, model.parts, model.tilt, ca.vec(model.T_base_blade))
+        give = model.joint_lever[0] * model.joint_push[0]
+        told = ca.vertcat(give, model.turn, model.residual, model.parts, model.tilt, ca.vec(model.T_base_blade))
         return ca.Function("seen", [model.q, model.F, model.w, model.theta, *more], [told])
 
     found = np.asarray(seen(one, speed)(Q, force, w, theta, sign)).ravel()

@@ -21,6 +21,7 @@ from ocp.blindtest.worlds.machines import GrindingMachine
 from ocp.blindtest.worlds.recipes import PLANTABLE
 from ocp.blindtest.worlds.sealing import log_noise
 from ocp.simulate.twin.arm import make_arm
+from ocp.simulate.twin.contact.grinder import make_grinder
 from ocp.simulate.twin.contact.sensor import SLOW_SHARE, SLOW_TIME
 from ocp.simulate.twin.planting import Planted
 from ocp.simulate.twin.truth import PLACEMENT, SENSOR_SIGMA, STIFFNESS
@@ -40,13 +41,15 @@ WILD = 1.2  # N off beyond which a reading is wild, and left out by the oracle
 @dataclass(frozen=True, eq=False)
 class ForceSlopes:
     """Derivatives of the readings without noise (2, n, 6): flange per m and rad of its twist about its origin, base axes; joint
-    per rad of a joint's angle, robot's sign. frames (n, 7, 4, 4) of the links; torque (n, 6) N m; compliance (6,) rad/(N m) of
+    per rad of a joint's angle, robot's sign. frames (n, 7, 4, 4) of the links; torque (n, 6) N m of the
+    weight, and `loaded` of weight and contact; compliance (6,) rad/(N m) of
     the joints that weight bends; approach (n, 6)."""
 
     flange: Array
     joint: Array
     frames: Array
     torque: Array
+    loaded: Array
     compliance: Array
     approach: Array
 
@@ -69,9 +72,11 @@ def slopes_of(machine: GrindingMachine) -> ForceSlopes:
     arm = frames[:, 6:7, :3, 3] - frames[:, :6, :3, 3]
     turned = np.concatenate([np.cross(axis, arm), axis], axis=2).transpose(0, 2, 1)
     joint = np.einsum("snk,nkm->snm", flange, turned)
-    return ForceSlopes(
-        flange, joint, frames, settled.load_torque[:, :6], tracker.weight_compliance(machine.truth), still.approach
-    )
+    torque = settled.load_torque[:, :6]
+    bench, log = machine.bench, machine.bare
+    grinder = make_grinder(bench.cell, machine.truth, bench.blade, bench.tables)
+    loaded = torque + np.einsum("nij,ni->nj", turned, grinder.wrenches(log.moments, log.result.force))
+    return ForceSlopes(flange, joint, frames, torque, loaded, tracker.weight_compliance(machine.truth), still.approach)
 
 
 def force_nuisance(machine: GrindingMachine, s: ForceSlopes) -> tuple[Array, Array]:

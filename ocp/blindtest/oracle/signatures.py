@@ -86,10 +86,17 @@ def _steps(columns: Array, later: Sequence[Array]) -> Array:
 
 
 def _of_joints(
-    robot: Robot, turned: Callable[[int, Array], Array], q: Array, sign: Array, tau: Array, warmth: Array, orders: Sequence[Index]
+    robot: Robot,
+    turned: Callable[[int, Array], Array],
+    q: Array,
+    sign: Array,
+    tau: Array,
+    loaded: Array,
+    warmth: Array,
+    orders: Sequence[Index],
 ) -> Iterator[ExactFamily]:
     """What adds to a joint's angle: `turned(j, f)` changes the readings by angles f (n,) rad of joint j (0..5); q, approach sign,
-    torque (n, 6), warmth (n,), orders of the ripples looked at, by joint."""
+    torque (n, 6) of the weight and of all that loads the joints, warmth (n,), orders of the ripples looked at, by joint."""
     ratio = gear_ratios(robot)
 
     def at(j: int, *f: Array) -> Array:
@@ -106,7 +113,7 @@ def _of_joints(
             yield _family(effect, np.concatenate(waves, axis=2), j + 1, repeat=2)
         yield _family("backlash", at(j, s), j + 1)
         if j + 1 in BENDING:
-            taken = [at(j, np.tanh(t / (share * robot.torque_max[j]))) for share in TAKEN_UP]
+            taken = [at(j, np.tanh(loaded[:, j] / (share * robot.torque_max[j]))) for share in TAKEN_UP]
             yield _family("load_backlash", np.concatenate(taken, axis=2), j + 1)
         yield _family("friction_windup", at(j, s, np.abs(t) * s), j + 1, keys=2)
         yield _family("encoder_scale", at(j, x), j + 1)
@@ -120,8 +127,9 @@ def _of_joints(
 def tracker_families(machine: TrackerMachine, scene: TrackerScene) -> list[ExactFamily]:
     """Every effect of the catalogue that a tracker sees, at every joint."""
     m = scene.campaign.moments
+    loads, orders = (scene.tau, scene.tau), [ORDERS] * 6
     joints = _of_joints(
-        scene.cell.robot, lambda j, f: scene.D[:, :, j] * f[:, None], m.q, m.approach, scene.tau, scene.warmth, [ORDERS] * 6
+        scene.cell.robot, lambda j, f: scene.D[:, :, j] * f[:, None], m.q, m.approach, *loads, scene.warmth, orders
     )
     return _seen([*joints, *_of_torques(machine), *_of_places(scene)])
 
@@ -173,7 +181,7 @@ def force_families(machine: GrindingMachine, s: ForceSlopes, orders_too: bool) -
     orders = [ORDERS if orders_too else ORDERS[:: max(1, int(1.0 / max(np.ptp(x), 1e-3)))] for x in machine.bare.q.T]
     warmth = machine.hall(machine.rows) - machine.bench.cell.tables.reference_temperature_C
     robot, q = machine.bench.cell.robot, machine.bare.q
-    joints = _of_joints(robot, lambda j, f: s.joint[..., j] * f, q, s.approach, s.torque, warmth, orders)
+    joints = _of_joints(robot, lambda j, f: s.joint[..., j] * f, q, s.approach, s.torque, s.loaded, warmth, orders)
     # Of what bends under the contact too differences tell; joint_stiffening is planted only where a tracker measures too.
     turned = (f for f in joints if f.effect not in ("joint_stiffening", "joint_compliance"))
     rest = [*_of_wheel(machine, s), *_of_frames(machine, s), *_of_sensor(machine), *_differences(machine), *_late(machine, s)]

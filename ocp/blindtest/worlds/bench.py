@@ -11,7 +11,7 @@ drawn, and so are those that are sealed. Contact, arm and sensor are the virtual
 import pickle
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -239,7 +239,7 @@ def rows_of_runs(lines: Sequence[GroundLine], runs: tuple[Run, ...]) -> RunRows:
 
 SAVED_FROM = 24  # contacts solved anew, from which the store is written again
 _STORES: dict[Path, Tables] = {}
-_Settled = tuple[Array, Array, Array]
+_Settled = tuple[Array, Array, Array, Callable[[Array], Array] | None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -289,7 +289,7 @@ class Bench:
         m, rad of the flange about its origin, base axes; gains: gain and zero (N) of the tangential axis."""
         strange = [p for p in truth.effects if p.effect in OUTSIDE]
         truth = replace(truth, effects=tuple(p for p in truth.effects if p.effect not in OUTSIDE), sensor_sigma=0.0)
-        q, T, compliance = self._settled(truth, rows, hall, rng)
+        q, T, compliance, bent = self._settled(truth, rows, hall, rng)
         if moved is not None:
             twist, T = np.broadcast_to(moved, (len(q), 6)).copy(), T.copy()
             T[:, :3, 3] += twist[:, :3]
@@ -306,6 +306,8 @@ class Bench:
             T = T.copy()
             T[:, :3, 3] -= outside("overlap", at)[:, None] * self.cell.wheel.contact_direction
             asked = replace(asked, T_base_flange=T, setpoint=asked.setpoint + outside("push", at))
+        if bent is not None:
+            asked = grinder.borne(asked, bent)
         result = grinder.force(asked)
         fn, ft = read_sensor(truth, result, asked, np.random.default_rng(0))
         if strange:
@@ -313,7 +315,8 @@ class Bench:
         return Log(rows, q, shown, result, fn, ft * (1 + gains[0]) + gains[1])
 
     def _settled(self, truth: Truth, rows: RunRows, hall: Array, rng: np.random.Generator | None) -> _Settled:
-        """Joints (n, 6), the flange's poses (n, 4, 4) and compliances (n, 6, 6); kept for each set of effects of the arm."""
+        """Joints (n, 6), the flange's poses (n, 4, 4) and compliances (n, 6, 6), those under wrenches (n, 6) where they go with
+        these; kept for each set of effects of the arm."""
         weights = truth.mass_scale.tobytes(), truth.mass_shift.tobytes(), repr(truth.payloads)
         key = (id(rows), id(truth.placement), *weights, repr(of_arm(truth.effects)))
         if rng is None and key in self.settled:
@@ -321,7 +324,7 @@ class Bench:
         still = self.still(rows, hall)
         arm = make_arm(self.cell, truth)
         at = arm.settled(still, rng)
-        found = still.q, at.links[:, 6], arm.compliance_at(at)
+        found = still.q, at.links[:, 6], arm.compliance_at(at), partial(arm.compliance_at, at) if arm.bends_on else None
         if rng is None:
             self.settled[key] = found
         return found

@@ -34,7 +34,7 @@ PROBE = 0.05  # N; over which the change of the extra interference with the forc
 # Columns of what `ForceModel.evaluate` gives as "state".
 STATE = RowLayout.of(
     "residual 1, slope 1, overlap 1, parts 4, slopes 4, arc 1, lateral 1, turn 1, tilt 2, curvature 3, T 16, "
-    "joint_give 6, friction_deflection 1"
+    "joint_lever 6, joint_push 6, tau 6, friction_deflection 1"
 ).places
 
 # Extra interference (k,) m of some rows (their indices), at their forces (k,) N and the state's columns there.
@@ -106,7 +106,9 @@ class ForceModel:
             model.tilt,
             model.curvature,
             ca.vec(model.T_base_blade.T),
-            model.joint_give,
+            model.joint_lever,
+            model.joint_push,
+            model.tau,
         ]
         state = [model.residual, slope, model.delta, model.parts, slopes, *place, ca.jacobian(ca.sum1(model.parts), friction)]
         by = ca.horzcat(slope, ca.jacobian(model.residual, model.theta), ca.jacobian(model.residual, model.q))
@@ -117,9 +119,9 @@ class ForceModel:
 
     def evaluate(self, kind: str, rows: PlacedRows, F: Array) -> Array:
         """Numbers (n, k) at forces F (n,) N: "state" (columns `STATE`: residual m and its slope in F m/N, overlap m, the four
-        parts m and their slopes m/N, arc rad, lateral m, turn rad, tilts, relative curvature 1/m, T_base_blade by rows, give of
-        the joints N m^2, the parts' derivative in the friction m), "derivative" (of the residual in F, theta (m) and q (6)) or
-        "stroke" (the flange's derivative in theta at the same force)."""
+        parts m and their slopes m/N, arc rad, lateral m, turn rad, tilts, relative curvature 1/m, T_base_blade by rows, levers of
+        the joints m/rad, torques of contact and weight about them N m, the parts' derivative in the friction m), "derivative" (of
+        the residual in F, theta (m) and q (6)) or "stroke" (the flange's derivative in theta at the same force)."""
         if not len(F):
             return np.empty((0, self._functions[kind].size1_out(0)))
         if "_functions" not in vars(self) and len(F) >= WORTH_COMPILING:

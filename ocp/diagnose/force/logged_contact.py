@@ -24,6 +24,7 @@ from robots.calibration.reading_model import RowInputs
 from robots.pose import Array, Index, skew
 
 PLACE = CONTACT_LAYOUT.places
+ABOUT_JOINTS = ("joint_lever", "joint_push", "tau")
 _AT = RowLayout(tuple((name, len(names)) for name, names in BLOCKS.items())).places  # of theta
 
 
@@ -34,7 +35,7 @@ def hook_columns(cell: Cell, effect: Effect, kind: str, joint: int, scans: Seque
 
 
 def samples_of(cell: Cell, rows: PlacedRows, conditions: LogConditions, F: Array, state: Array, stiffness: Array) -> Array:
-    """Samples (n, k), in the order of `CONTACT_LAYOUT`, of rows in contact at forces F (n,) N with their state (n, 34); columns
+    """Samples (n, k), in the order of `CONTACT_LAYOUT`, of rows in contact at forces F (n,) N with their state (n, k); columns
     that a log does not have are nan. Where theta turns the wheel's axis or shifts the blade the frames follow.
     """
     base, theta, wheel, c = rows.base, rows.theta, cell.wheel, conditions
@@ -50,7 +51,7 @@ def samples_of(cell: Cell, rows: PlacedRows, conditions: LogConditions, F: Array
     own = _blade_turn(theta[:, _AT["blade_rotation"]]) @ cell.workpiece.T_flange_blade[:3, :3]
     flange = R @ own.transpose(0, 2, 1)
     n_base = np.einsum("kij,kj->ki", R, w[:, 3:6])
-    of_state = ("arc", "lateral", "turn", "tilt", "curvature", "parts", "slopes", "friction_deflection", "joint_give")
+    of_state = ("arc", "lateral", "turn", "tilt", "curvature", "parts", "slopes", "friction_deflection", *ABOUT_JOINTS)
     of_log = ("s", "setpoint", "feed", "belt", "time", "clock", "ground_before", "warm", "wheel_warm", "travel")
     blocks: dict[str, Any] = {name: state[:, STATE[name]] for name in of_state} | {name: getattr(c, name) for name in of_log}
     blocks |= {"F": F, "p": w[:, :3], "n": w[:, 3:6], "t": w[:, 6:9], "e": e, "n_base": n_base, "axis": axis, "line": c.line}

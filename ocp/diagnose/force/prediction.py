@@ -27,7 +27,7 @@ HOOKS = ("sensor", "shear")  # of an effect that changes one reading alone: fn, 
 Past = tuple[Array, Array, Array]  # force N, stroke m (n,) and both readings N (2, n), or columns (.., k) of their changes
 TOLERANCE = 2e-4  # N: a step of Newton below this leaves less than 1e-7 N
 # Of rows in the air.
-ZEROED = ("parts", "slopes", "normal_stiffness", "friction_deflection", "joint_give", "clamp_deflection", "F")
+ZEROED = ("parts", "slopes", "normal_stiffness", "friction_deflection", "joint_push", "clamp_deflection", "F")
 
 
 @dataclass(frozen=True)

@@ -34,7 +34,7 @@ CONTACT_LAYOUT = RowLayout.of(
     "F 1, parts 4, slopes 4, curvature 3, lateral 1, tilt 2, arc 1, turn 1, p 3, n 3, t 3, e 3, belt_direction 3, n_base 3, "
     "axis 3, R_flange 9, R_blade 9, s 1, setpoint 1, feed 1, belt 1, time 1, clock 1, ground_before 1, warm 1, wheel_warm 1, "
     "travel 1, normal_stiffness 1, friction_deflection 1, lever 1, push_axis 3, clamp_deflection 1, line 1, "
-    "joint_give 6, q 6"
+    "joint_lever 6, joint_push 6, tau 6, q 6"
 )
 
 

@@ -251,12 +251,19 @@ class VirtualArm:
         N m, base axes. J C J^T with all true springs at the loads they carry."""
         return self.compliance_at(self.settled(m))
 
-    def compliance_at(self, s: Settled) -> Array:
-        """`compliance` of equilibria that are at hand, those with repeatability too."""
-        c = self.hardware.contact_compliance + self.hardware.laws.slope(s.load_torque)
+    def compliance_at(self, s: Settled, wrench: Array | None = None) -> Array:
+        """`compliance` of equilibria that are at hand, those with repeatability too; under a wrench (n, 6) at the flange's
+        origin twist over wrench of that one, whatever its size."""
+        more = np.zeros_like(s.load_torque) if wrench is None else np.einsum("nij,ni->nj", s.jacobian, wrench)
+        c = self.hardware.contact_compliance + self.hardware.laws.beside(s.load_torque, more)
         found = np.asarray((s.jacobian * c[:, None, :]) @ np.swapaxes(s.jacobian, 1, 2))
         found[:, :3, :3] += tool_give(self.truth, s.links)
         return found
+
+    @property
+    def bends_on(self) -> bool:
+        """Whether it gives by another measure under more load, as under the contact's."""
+        return self.hardware.laws.bends_on
 
     def _machine(self, payload: str) -> ArmModel:
         if payload not in self.machines:

@@ -232,12 +232,21 @@ class Laws:
         turn[:6] += self.windup[:6] * np.abs(tau[:6]) * sign + self.play * np.tanh(self._filled(tau[:6]))
         return np.asarray(turn)
 
-    def slope(self, tau: Array) -> Array:
-        """Compliance (n, ns) rad/(N m) beside c of a further load on torques tau (n, ns); windup holds."""
-        more = -3 * self.cubic * tau**2
+    @property
+    def bends_on(self) -> bool:
+        """Whether a spring gives by another measure under more load."""
+        return bool(self.cubic.any() or self.play.any())
+
+    def beside(self, tau: Array, more: Array) -> Array:
+        """Compliance (n, ns) rad/(N m) beside c: turn over load of what comes on top, `more` N m (n, ns), of torques tau (n, ns);
+        windup holds."""
+        found = -self.cubic * (3 * tau**2 + 3 * tau * more + more**2)
+        at, step = self._filled(tau[:, :6]), self._filled(more[:, :6])
+        # tanh(a + b) - tanh(a) = tanh(b) (1 - tanh(a) tanh(a + b)); over b without a difference of near ones
+        share = np.divide(np.tanh(step), step, out=np.ones_like(step), where=step != 0)
         per = np.divide(self.play, self.taken_up, out=np.zeros(6), where=self.taken_up > 0)
-        more[:, :6] += per * (1 - np.tanh(self._filled(tau[:, :6])) ** 2)
-        return np.asarray(more)
+        found[:, :6] += per * share * (1 - np.tanh(at) * np.tanh(at + step))
+        return np.asarray(found)
 
     def _filled(self, tau: Array) -> Array:
         return np.divide(tau, self.taken_up, out=np.zeros_like(tau), where=self.taken_up > 0)

@@ -9,6 +9,7 @@ recording it stands where it slipped to, whatever side is ground then: that is a
 from collections.abc import Mapping
 from copy import deepcopy
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -20,6 +21,7 @@ from ocp.simulate.twin.contact import ContactMoments, ContactResult
 from ocp.simulate.twin.contact.grinder import ContactPatches, Grinder, make_grinder
 from ocp.simulate.twin.contact.sensor import read_sensor
 from ocp.simulate.twin.controller import Index, Track
+from ocp.simulate.twin.machine import Settled
 from ocp.simulate.twin.path_motion import flange, solve_posture
 from ocp.simulate.twin.plan_knowledge import AWAY, GRINDING, Matched
 from ocp.simulate.twin.touching import Touching, carried_acceleration, touch, touch_windows
@@ -137,8 +139,8 @@ def grind(
         )
     index = np.concatenate([np.flatnonzero(rows & (plan.run == k)) for k in np.unique(plan.run[rows])])
     m = arm_conditions(machine, track, index, conditions.clock, plan.run[index])
-    flange, compliance = machine.arm.flange(m, machine.rng), machine.arm.compliance(m)
-    asked = _contact(machine, track, plan.take(index), conditions, index, flange, compliance)
+    flange, stands = machine.arm.flange(m, machine.rng), machine.arm.settled(m)
+    asked = _contact(machine, track, plan.take(index), conditions, index, flange, stands)
     result = machine.grinder.force(asked)
     if conditions.contact:
         _refuse_force(machine, track, plan, index, result)
@@ -154,23 +156,23 @@ def approach(
     windows = touch_windows(track, plan, runs)
     m = arm_conditions(machine, track, windows.index, conditions.clock, windows.run)
     settled = machine.arm.settled(m, machine.rng)
-    of, stands = windows.plan, (settled.links[:, 6], machine.arm.compliance_at(settled))
-    asked = _contact(machine, track, replace(of, run=windows.run), conditions, windows.index, *stands)
+    of = replace(windows.plan, run=windows.run)
+    asked = _contact(machine, track, of, conditions, windows.index, settled.links[:, 6], settled)
     touched, result = touch(machine.grinder, asked, windows, carried_acceleration(machine.cell, track, windows))
     return touched, asked, result
 
 
 def _contact(
-    machine: VirtualMachine, track: Track, plan: Matched, c: GrindingConditions, index: Index, flange: Array, compliance: Array
+    machine: VirtualMachine, track: Track, plan: Matched, c: GrindingConditions, index: Index, flange: Array, stands: Settled
 ) -> ContactMoments:
-    """The contact's conditions at samples `index` of the track; `plan`: what it says at these."""
+    """The contact's conditions at samples `index` of the track; `plan`: what it says at these; `stands`: how the arm does."""
     n, run, line = len(index), plan.run, plan.line
     clock = c.clock + track.time[index]
     begin = {int(k): float(track.time[index[(run == k) & (plan.phase == GRINDING)][0]]) for k in np.unique(run)}
     ground = c.ground or {}
-    return ContactMoments(
+    asked = ContactMoments(
         T_base_flange=flange,
-        arm_compliance=compliance,
+        arm_compliance=machine.arm.compliance_at(stands),
         setpoint=_setpoint(machine.cell, plan, c.setpoint),
         belt=np.full(n, c.belt),
         contact=np.full(n, c.contact),
@@ -182,6 +184,7 @@ def _contact(
         temperature_C=np.full(n, machine.temperature),
         **{name: getattr(plan, name) for name in ("p", "n", "t", "s", "line", "feed")},
     )
+    return machine.grinder.borne(asked, partial(machine.arm.compliance_at, stands)) if machine.arm.bends_on else asked
 
 
 def _setpoint(cell: Cell, plan: Matched, asked: float) -> Array:

@@ -255,6 +255,7 @@ def _curve(depth: Array, slopes: Array, v: Array) -> Array:
 
 FAR_APART = 1.0  # m
 BESIDE_TOUCH = 1e-3  # m before touch from which on the contact's curve is worked out
+ROUNDS = 5  # of the contact and what of the arm goes with it: play over a torque_Nm is left within a percent
 PAUSE = 0.5  # s without a row in contact after which the cover and the flange have forgotten
 
 
@@ -322,6 +323,21 @@ class Grinder:
             force[rows], stroke[rows], indentation[rows] = result.force, result.stroke, result.indentation
         force = bodies.knocked(self.truth, c, force)
         return ContactResult(force, mu * force, overlap, stroke, indentation)
+
+    def wrenches(self, c: ContactMoments, force: Array) -> Array:
+        """What normal forces (n,) N do to the flange at its origin, friction with them: (n, 6) N, N m, base axes."""
+        rows, found, moved = np.flatnonzero(c.contact), np.zeros((len(c.s), 6)), lagging(self.truth, c)
+        T, _, _, at = self._met(moved, rows)
+        own, _ = bodies.contact_wrench(moved, rows, T, at, bodies.friction(self.truth, self.cell, c)[rows])
+        found[rows] = force[rows, None] * own
+        return found
+
+    def borne(self, c: ContactMoments, compliance: Callable[[Array], Array]) -> ContactMoments:
+        """`c` with the arm's `compliance` under the wrenches (n, 6) that the contact itself puts on the flange."""
+        near = self.in_reach(c)
+        for _ in range(ROUNDS):
+            near = replace(near, arm_compliance=compliance(self.wrenches(near, self.force(near).force)))
+        return replace(c, arm_compliance=near.arm_compliance)
 
     def depth(self, c: ContactMoments) -> Array:
         """Overlap (n,) m of the undeformed bodies along the wheel's direction into the blade, stroke 0; below zero: apart, by

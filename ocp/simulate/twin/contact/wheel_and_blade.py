@@ -219,10 +219,17 @@ def blade_compliance_along(
     return np.asarray(-c[:, 0] * along_n + c[:, 1] * along_t + c[:, 2] * along_b)
 
 
-def arm_compliance_along(c: ContactMoments, rows: Index, T_base_blade: Array, at: Postures, friction: Array) -> Array:
-    """Displacement (n,) of the contact along e per newton, from the flange's compliance and the lever to the contact."""
+def contact_wrench(c: ContactMoments, rows: Index, T_base_blade: Array, at: Postures, friction: Array) -> tuple[Array, Array]:
+    """What a newton of normal force does to the flange at its origin, with friction: wrench (n, 6) N, N m, base axes; and the
+    lever (n, 3) m from there to the contact."""
     lever = np.einsum("kij,kj->ki", T_base_blade[:, :3, :3], c.p[rows]) + T_base_blade[:, :3, 3] - c.T_base_flange[rows, :3, 3]
     force = at.e + friction[:, None] * at.x
-    twist = np.einsum("kij,kj->ki", c.arm_compliance[rows], np.concatenate([force, np.cross(lever, force)], axis=1))
+    return np.concatenate([force, np.cross(lever, force)], axis=1), lever
+
+
+def arm_compliance_along(c: ContactMoments, rows: Index, T_base_blade: Array, at: Postures, friction: Array) -> Array:
+    """Displacement (n,) of the contact along e per newton, from the flange's compliance and the lever to the contact."""
+    wrench, lever = contact_wrench(c, rows, T_base_blade, at, friction)
+    twist = np.einsum("kij,kj->ki", c.arm_compliance[rows], wrench)
     moved = twist[:, :3] + np.cross(twist[:, 3:], lever)
     return np.asarray(np.sum(moved * at.e, axis=1))
