@@ -44,11 +44,11 @@ class Surroundings:
     """What a data set offers to the scans; all empty where absent.
 
     gear_ratio (6,) (nan unknown); q_range (6, 2) rad covered; time: sorted instants s of the readings on the campaign's clock;
-    targets, payloads: names; breaks: instants s on that clock between runs or sessions; length m: of the longest pass; lines:
-    numbers of the lines ground; sides: mean outward normals (3,), blade frame, of the sides ground; friction of the cell; robot:
-    its catalogue name; torque_max (6,) N m, stiffness (6,) N m/rad of the believed robot (None, 0: those of a KR 210 set the
-    scale of priors); splice_trains: of a belt, that a force log speaks for; among: by effect, of how many variants its scan
-    offers the most telling.
+    targets, payloads: names; read_at: by target, instants s of its own readings, where they are known; breaks: instants s on that
+    clock between runs or sessions; length m: of the longest pass; lines: numbers of the lines ground; sides: mean outward normals
+    (3,), blade frame, of the sides ground; friction of the cell; robot: its catalogue name; torque_max (6,) N m, stiffness (6,)
+    N m/rad of the believed robot (None, 0: those of a KR 210 set the scale of priors); splice_trains: of a belt, that a force log
+    speaks for; among: by effect, of how many variants its scan offers the most telling.
     """
 
     gear_ratio: Array
@@ -56,6 +56,7 @@ class Surroundings:
     time: Array
     targets: tuple[str, ...] = ()
     payloads: tuple[str, ...] = ()
+    read_at: Mapping[str, Array] = field(default_factory=dict)
     breaks: Array = field(default_factory=lambda: np.empty(0))
     length: float = 0.0
     robot: str = ""
@@ -68,9 +69,12 @@ class Surroundings:
     among: Mapping[str, int] = field(default_factory=dict)
 
     @staticmethod
-    def of(robot: Robot, q: Array, time: Array | None, **more: Any) -> "Surroundings":
-        """Of readings of an arm at joints q (n, 6) rad and times s, and what else they offer."""
+    def of(robot: Robot, q: Array, time: Array | None, targets: Sequence[str] = (), **more: Any) -> "Surroundings":
+        """Of readings of an arm at joints q (n, 6) rad, times s and nests, a name for each, and what else they offer."""
         span, instants = np.stack([q.min(axis=0), q.max(axis=0)], axis=1), np.empty(0) if time is None else np.sort(time)
+        names = np.array(targets)
+        more |= {"targets": tuple(dict.fromkeys(targets))}
+        more |= {"read_at": {} if time is None else {n: np.sort(time[names == n]) for n in more["targets"]}}
         own: dict[str, Any] = {"robot": robot.name, "torque_max": robot.torque_max, "stiffness": robot.stiffness}
         return Surroundings(robot.gear_ratio, span, instants, **own, **more)
 

@@ -11,7 +11,8 @@ from ocp.effects.forms import AT_S, after, instants, proportional
 
 
 def _scan(joint: int, seen: Surroundings) -> Sequence[Scanned]:
-    return [{"target": name, "at_s": float(t)} for name in seen.targets for t in instants(seen.time)]
+    """Between the nest's own readings: where others are read meanwhile nothing tells one instant from the next."""
+    return [{"target": name, "at_s": float(t)} for name in seen.targets for t in instants(seen.read_at.get(name, seen.time))]
 
 
 EFFECT = Effect(

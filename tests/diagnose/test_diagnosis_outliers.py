@@ -11,6 +11,7 @@ from ocp.diagnose.engine.linearisation import linearised
 from ocp.diagnose.engine.search import outliers_rechecked
 from ocp.diagnose.rules import OUTLIERS_OF_ONE_CAUSE
 from ocp.diagnose.verdict.diagnosis import diagnose_channels
+from ocp.effects.forms import INSTANTS
 from ocp.shell.progress import Phases
 from tests.diagnose.test_diagnosis_tracker import LIBRARY, channel, world
 from tests.support.diagnosis_folder import write_csv, write_tracker_folder
@@ -82,3 +83,15 @@ def test_what_is_predicted_is_the_cell_that_is_written(tmp_path):
     told = predict_sealed(answer)["tracker"]
     assert np.array_equal(told.corrected, told.baseline)
     assert np.abs(told.corrected - truth).max() < 1e-4
+
+
+def test_a_nest_that_moves_is_sought_between_its_own_readings():
+    """Among the readings of all nests half a pause of the campaign can lie between two instants that are tried."""
+    readings = world(6)[0]
+    scans = LIBRARY["target_shift"].scan(0, channel(readings).surroundings)
+    for k, name in enumerate(readings.targets):
+        own = np.sort(readings.time[readings.target == k])
+        tried = np.sort([s["at_s"] for s in scans if s["target"] == name])
+        between = np.searchsorted(own, tried)
+        assert between[0] == 1 and between[-1] == len(own) - 1
+        assert np.diff(between).max() <= -(-len(own) // INSTANTS) and np.diff(between).min() >= 1

@@ -113,8 +113,8 @@ class TrackerChannel:
     def surroundings(self) -> Surroundings:
         """For the scans."""
         r, c = self.readings, self.task.campaign
-        payloads, targets = (r.payloads[k] for k in np.unique(r.payload)), (r.targets[k] for k in np.unique(r.target))
-        return Surroundings.of(c.robot, r.q, r.time, targets=tuple(targets), payloads=tuple(payloads))
+        payloads = tuple(r.payloads[k] for k in np.unique(r.payload))
+        return Surroundings.of(c.robot, r.q, r.time, [r.targets[k] for k in r.target], payloads=payloads)
 
     @property
     def conditions(self) -> ReadingConditions:
