@@ -45,10 +45,10 @@ class Surroundings:
 
     gear_ratio (6,) (nan unknown); q_range (6, 2) rad covered; time: sorted instants s of the readings on the campaign's clock;
     targets, payloads: names; read_at: by target, instants s of its own readings, where they are known; breaks: instants s on that
-    clock between runs or sessions; length m: of the longest pass; lines: numbers of the lines ground; sides: mean outward normals
-    (3,), blade frame, of the sides ground; friction of the cell; robot: its catalogue name; torque_max (6,) N m, stiffness (6,)
-    N m/rad of the believed robot (None, 0: those of a KR 210 set the scale of priors); splice_trains: of a belt, that a force log
-    speaks for; among: by effect, of how many variants its scan offers the most telling.
+    clock between runs or sessions; span m: where s begins in contact and how far it goes; lines: numbers of the lines ground;
+    sides: mean outward normals (3,), blade frame, of the sides ground; friction of the cell; robot: its catalogue name;
+    torque_max (6,) N m, stiffness (6,) N m/rad of the believed robot (None, 0: those of a KR 210 set the scale of priors);
+    splice_trains: of a belt, that a force log speaks for; among: by effect, of how many variants its scan offers the best.
     """
 
     gear_ratio: Array
@@ -58,7 +58,7 @@ class Surroundings:
     payloads: tuple[str, ...] = ()
     read_at: Mapping[str, Array] = field(default_factory=dict)
     breaks: Array = field(default_factory=lambda: np.empty(0))
-    length: float = 0.0
+    span: tuple[float, float] = (0.0, 0.0)
     robot: str = ""
     torque_max: Array | None = None
     stiffness: Array | None = None

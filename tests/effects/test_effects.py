@@ -84,7 +84,7 @@ SEEN = Surroundings(
     tuple(NESTS),
     payloads=tuple(PAYLOADS),
     robot=EXTRA.name,
-    length=0.1,
+    span=(0.0, 0.1),
     lines=(1, 2, 3),
 )
 PLACES = [(name, joint) for name, effect in library().items() for joint in effect.places]

@@ -141,8 +141,19 @@ def test_contact_effects_are_what_they_say(name, at):
 def test_a_profile_as_large_as_its_prior_is_as_large_as_real_ones_get():
     e = library()["stock_profile"]
     drawn = np.random.default_rng(1).normal(size=(400, e.size)) * e.prior_sd
-    sizes = [e.values(a, {"length_m": 0.1, "lines": [1.0, 2.0]})["m"] for a in drawn]
+    sizes = [e.values(a, {"from_m": 0.0, "length_m": 0.1, "lines": [1.0, 2.0]})["m"] for a in drawn]
     assert np.sqrt(np.mean(np.square(sizes))) == pytest.approx(2e-4, rel=0.05)
+
+
+def test_a_profile_is_not_mirrored_where_a_pass_begins():
+    """A log that begins at touch has negative s; cosines of s itself are even there and hold no slope."""
+    e, s = library()["stock_profile"], np.linspace(-0.02, 0.055, 60)
+    scanned = e.scan(0, replace(SEEN, span=(-0.02, 0.075)))[0]
+    rows = CONTACT_LAYOUT.stack(len(s), {"s": s, "line": np.ones(len(s))})
+    columns = contact_columns(e, "overlap", 0, [scanned], PLACE, rows)[0]
+    true = np.sin(s / 9e-3)
+    a, *_ = np.linalg.lstsq(columns, true, rcond=None)
+    assert np.sqrt(np.mean((columns @ a - true) ** 2)) < 0.1
 
 
 def test_every_effect_on_forces_is_covered():

@@ -300,7 +300,7 @@ def surroundings(problem: ForceProblem) -> Surroundings:
     clocked = "clock_s" in c.given
     first, last = np.array(sorted((c.clock[c.run == r].min(), c.clock[c.run == r].max()) for r in np.unique(c.run))).T
     breaks = 0.5 * (last[:-1] + first[1:]) if clocked and len(first) > 1 else np.empty(0)
-    lengths = [np.ptp(c.s[(c.line == k) & log.contact]) for k in np.unique(c.line[log.contact])]
+    ways = c.s[log.contact]
     own = cell.tables.workpiece.payload if cell.tables.workpiece is not None else None
     return Surroundings.of(
         cell.robot,
@@ -308,7 +308,7 @@ def surroundings(problem: ForceProblem) -> Surroundings:
         c.clock if clocked else None,
         payloads=(own,) if own in cell.tables.payloads else (),
         breaks=np.sort(breaks),
-        length=float(max(lengths, default=0.0)),
+        span=(float(ways.min()), float(np.ptp(ways))) if len(ways) else (0.0, 0.0),
         lines=tuple(float(k) for k in np.unique(c.line[log.contact])),
         sides=_sides(log.n[log.contact]),
         friction=cell.wheel.friction,
