@@ -285,6 +285,9 @@ def test_runs_that_no_flange_cell_has_are_refused(recorded):
     fit = tampered(recorded, recorded.log.fn + wild)
     with pytest.raises(Infeasible, match="where 20 N were asked for, which no flange cell does"):
         refuse_other_force(cell, fit)
+    tenfold = replace(fit, log=replace(fit.log, setpoint=np.full(len(fit.log), 200.0)))
+    with pytest.raises(Infeasible, match="where 200 N were asked for, which no flange cell does"):
+        refuse_other_force(cell, tenfold)
     refuse_other_force(replace(cell, flange=None), fit)
 
 
