@@ -34,20 +34,18 @@ CALIBRATION = "calibration.toml"
 def write_corrected_cell(folder: Path, out: Path, answer: Answer) -> None:
     """Write corrected_cell.toml and its calibration into `folder`, which will stand at `out`."""
     data = answer.data
-    source = data.folder / CELL
-    tables = cell_tables_for(source, out, data.cell.workpiece.stl if data.cell is not None else None)
+    tables = cell_tables_for(data.folder / CELL, out, data.cell.workpiece.stl if data.cell is not None else None)
     tables.pop("effects", None)
     tables.pop("patches", None)
     robot = tables["robot"]
-    calibration = calibration_of(answer.channels, data)
+    calibration = calibration_of(answer.channels, data, answer.corrections)
     if calibration is not None:
         write_calibration(folder / CALIBRATION, made_for(calibration, data.setup.tables, data.setup.robot))
         robot["calibration"] = CALIBRATION
     elif data.setup.tables.robot.calibration is not None:
         believed = data.folder / data.setup.tables.robot.calibration
-        for file in (believed, believed.with_suffix(".npz")):
-            if file.is_file():
-                shutil.copyfile(file, folder / file.name)
+        for file in filter(Path.is_file, (believed, believed.with_suffix(".npz"))):
+            shutil.copyfile(file, folder / file.name)
         robot["calibration"] = believed.name
     if answer.corrections:
         tables["conditions"] = conditions_at_the_end(data)
@@ -60,7 +58,7 @@ def write_corrected_cell(folder: Path, out: Path, answer: Answer) -> None:
         patches += [patch_table(one, told) for one in answer.patch.patches]
     if patches:
         tables["patches"] = patches
-    text = f"# {source.name} with what ocp.diagnose found\n" + toml_text(tables)
+    text = f"# {CELL} with what ocp.diagnose found\n{toml_text(tables)}"
     (folder / "corrected_cell.toml").write_text(text, encoding="utf-8")
 
 
@@ -90,10 +88,8 @@ def summed(believed: Sequence[Active], found: Sequence[Active]) -> list[Active]:
 
 def conditions_at_the_end(data: DataSet) -> dict[str, float]:
     """What effects depend on when the data end, the next plan's beginning: clocks s, temperatures deg C as far as measured."""
-    found: dict[str, float] = {}
     readings, log = data.readings, data.log
-    if readings is not None:
-        found |= _ends(time_s=readings.time, temperature_C=readings.temperature)
+    found = {} if readings is None else _ends(time_s=readings.time, temperature_C=readings.temperature)
     if log is not None:
         found |= _ends(clock_s=log.clock, temperature_C=log.temperature, wheel_temperature_C=log.wheel_temperature)
     return found
@@ -105,33 +101,35 @@ def _ends(**columns: Array | None) -> dict[str, float]:
     return {name: float(np.nanmax(v) if name in ("time_s", "clock_s") else v[np.isfinite(v)][-1]) for name, v in last.items()}
 
 
-def calibration_of(channels: Mapping[str, Channel], data: DataSet) -> Calibration | None:
+def calibration_of(channels: Mapping[str, Channel], data: DataSet, written: Sequence[Active] = ()) -> Calibration | None:
     """The refitted arm, and contact where a force channel has refitted it, with what the believed calibration knows besides
     (wheel and blade beside an arm, the tracker's frame beside a contact); None where neither was measured."""
     tracker = _of_arm(channels["tracker"], data) if "tracker" in channels else None
     known = data.setup.calibration
     if "force" not in channels:
         return None if tracker is None else carried_over(tracker, known)
-    return carried_over(_of_contact(channels["force"], data), known if tracker is None else tracker)
+    return carried_over(_of_contact(channels, data, written), known if tracker is None else tracker)
 
 
-def _of_contact(channel: Channel, data: DataSet) -> Calibration:
-    """Arm, wheel, blade frame and stiffnesses as the force log and the arm's prior leave them, with their joint covariance."""
-    from ocp.calibrate.force.fit import FIT_NAMES, covariance_left
+def _of_contact(channels: Mapping[str, Channel], data: DataSet, written: Sequence[Active]) -> Calibration:
+    """Arm, wheel, blade frame and stiffnesses as log and arm's prior leave them beside what is written, with their covariance."""
+    from ocp.calibrate.force.fit import FIT_NAMES, left_beside
     from ocp.calibrate.force.registration import told_of
     from ocp.diagnose.force.channel import ForceChannel  # blade and contact: only for those who measured force
 
+    channel = channels["force"]
     assert isinstance(channel, ForceChannel)
     believed, fit = channel.problem.believed, channel.fit
-    covariance = covariance_left(believed.root, fit.information)
-    known = [i for i in range(len(FIT_NAMES)) if covariance[i, i] > 0]
-    told = told_of(channel.log, data.setup.calibration)
-    provenance: dict[str, Any] = _provenance(channel) | {"rows": len(channel.log), FORCE: told}
-    provenance[BENDING] = list(channel.problem.scene.cell.compliant_joints)
-    if believed.joint_noise is not None:
-        provenance["noise"] = {"joints_rad": believed.joint_noise}
+    others = {a.key for name, c in channels.items() if name != "force" for a in c.active}
+    told = {a.key: a.a for a in written if a.key in others}  # the log alone leaves their sizes open
+    off = [(told.get(a.key, np.nan) - a.a) / a.effect.prior_sd for a in fit.active]
+    x, covariance = left_beside(believed.root, fit.at.x, fit.information, np.concatenate([[], *off]))
+    known = np.flatnonzero(np.diag(covariance)[: len(FIT_NAMES)] > 0)
+    noise = {} if believed.joint_noise is None else {"noise": {"joints_rad": believed.joint_noise}}
+    provenance: dict[str, Any] = _provenance(channel) | {FORCE: told_of(channel.log, data.setup.calibration)} | noise
+    provenance |= {"rows": len(channel.log), BENDING: list(channel.problem.scene.cell.compliant_joints)}
     names = tuple(FIT_NAMES[i] for i in known)
-    return Calibration(data.setup.robot.name, names, fit.at.x[known], covariance[np.ix_(known, known)], provenance)
+    return Calibration(data.setup.robot.name, names, x[known], covariance[np.ix_(known, known)], provenance)
 
 
 def _provenance(channel: Channel) -> dict[str, Any]:
