@@ -101,12 +101,18 @@ def test_what_is_sealed_is_no_condition(tmp_path):
 
 def test_readings_that_are_exchanged_or_a_setpoint_of_nothing_are_refused(tmp_path):
     flange = SimpleNamespace(flange=SimpleNamespace(setpoint=20.0), process=SimpleNamespace(force=20.0))
+    flange.wheel = SimpleNamespace(belt_speed=20.0)
     for friction in (0.35, 0.6):
         swapped = rows(fn_N=20.0 * friction, ft_N=20.0, contact=1, setpoint_N=20.0)
         with pytest.raises(BadInput, match="look exchanged"):
             refuse_force_unit(read(tmp_path, swapped), flange)
         refuse_force_unit(read(tmp_path, rows(fn_N=20.0, ft_N=20.0 * friction, contact=1, setpoint_N=20.0)), flange)
     refuse_force_unit(read(tmp_path, rows(fn_N=19.0, ft_N=22.0, contact=1, setpoint_N=20.0)), flange)  # a coarse belt
+    for against in (rows(fn_N=20.0, ft_N=-7.0, contact=1), rows(fn_N=20.0, ft_N=7.0, belt_m_s=-20.0, contact=1)):
+        with pytest.raises(BadInput, match="line 2, column ft_N: -?7 at a belt speed of -?20 m/s is a pull against the belt"):
+            refuse_force_unit(read(tmp_path, against), flange)
+    for along in (rows(fn_N=20.0, ft_N=-7.0, belt_m_s=-20.0, contact=1), rows(fn_N=20.0, ft_N=-0.5, contact=1)):
+        refuse_force_unit(read(tmp_path, along), flange)
     idle = [{**row, "setpoint_N": 0.0 if k else 20.0} for k, row in enumerate(rows(fn_N=20.0, contact=1))]
     with pytest.raises(BadInput, match="line 3, column setpoint_N: 0 in contact"):
         refuse_force_unit(read(tmp_path, idle), flange)

@@ -45,6 +45,7 @@ OTHER_UNITS = {"kilograms-force (or decanewtons)": 9.80665, "pounds-force": 4.44
 OTHER_UNIT_NEAR = 0.08  # a controlled force keeps as near to its setpoint
 SAME_SETPOINT = 5e-4  # a setpoint is a round number in one unit only
 MOST_FRICTION = 3.0  # coated abrasives grind with 0.3 to 1
+BACKWARD = 0.05  # of the normal force, by which a pull against the belt is no sensor's zero
 EXCHANGED = 0.3  # of how far fn_N is from what was asked for (log), how near a larger ft_N is then
 OTHER_TIME = 50.0  # times slower than the feed: milliseconds are farther off, what a log may say of its feed is nearer
 FEED_APART = 3.0  # times; other units are farther apart, a feed that ramps or that an override lowers is nearer
@@ -326,6 +327,23 @@ def refuse_force_unit(log: ForceLog, cell: Cell) -> None:
         raise BadInput(
             f"{log.path}, column fn_N: {seen:.3g} N in contact (median) where the cell asks for {wanted:g} N; give newtons, or "
             "correct the cell's setpoint_N"
+        )
+    _refuse_pull_backward(log, cell)
+
+
+def _refuse_pull_backward(log: ForceLog, cell: Cell) -> None:
+    """Raises BadInput: the tangential force is against the belt, as friction never is."""
+    if log.ft is None:
+        return
+    belt = np.full(len(log), cell.wheel.belt_speed) if log.belt is None else log.belt
+    at = np.flatnonzero(log.contact & (belt != 0))
+    along = log.ft[at] * np.sign(belt[at])
+    if len(at) and np.median(along) < -BACKWARD * abs(np.median(log.fn[at])):
+        k = at[np.argmax(along < 0)]
+        raise BadInput(
+            f"{log.path}, line {log.row[k]}, column ft_N: {log.ft[k]:.3g} at a belt speed of {belt[k]:g} m/s is a pull against "
+            "the belt, as in most of the log, where friction pulls along it: ft_N and belt_m_s are both positive along axis x "
+            "outward radial of the wheel; turn the sign of the one that is not"
         )
 
 
