@@ -14,7 +14,7 @@ import numpy as np
 from ocp.calibrate.force.blade import CORRECTION
 from ocp.calibrate.force.fit import BIAS
 from ocp.calibrate.force.log import ForceLog, is_known, log_mark, steady_rows, without_ramps
-from ocp.calibrate.force.registration import RECORDINGS, ForceFit, fit_force
+from ocp.calibrate.force.registration import RECORDINGS, ForceFit, fit_force, refuse_other_force
 from ocp.calibrate.force.rows import ForceSetup, prepare_force
 from ocp.calibrate.interface import logged_cell
 from ocp.model.calibrated_for import made_for
@@ -243,6 +243,7 @@ def updated(
     fit, verdict = _fitted(cell, without_ramps(log, flange), still, expected, (now - clock)[kept])
     if not verdict.possible:
         raise Infeasible(_impossible(log, fit, verdict, parts))
+    refuse_other_force(cell, fit)
     found = fit.calibration(expected)
     preston, told = _known_preston(cell, wheel.contact, "belt" in parts), None
     if removal is not None:

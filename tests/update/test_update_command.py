@@ -212,3 +212,18 @@ def test_a_log_that_cannot_be_of_this_cell_is_said(done, tmp_path):
     answer = called(app, tmp_path, "off.csv", "--cell", done.folder / "second" / "cell.toml", "--changed", "wheel")
     assert answer.code == 0, answer.err
     assert answer.out.startswith("update: ") and answer.out.count("\n") == 1
+
+
+def test_runs_that_no_flange_cell_has_are_refused(done, tmp_path):
+    """A force ladder without its setpoints: in the mean it is what a cell that hardly knows its wheel expects."""
+    with (done.folder / "next.csv").open() as file:
+        rows = [row for row in csv.DictReader(file) if row["contact"] == "1"]
+    with (tmp_path / "ladder.csv").open("w", newline="") as out:
+        writer = csv.DictWriter(out, rows[0])
+        writer.writeheader()
+        for run, force in enumerate((16.5, 23.5, 16.5, 23.5)):
+            read = force + correlated(np.random.default_rng(run), len(rows))
+            clock = [float(row["clock_s"]) + 600.0 * run for row in rows]
+            writer.writerows(r | {"run": run, "fn_N": f, "clock_s": c} for r, f, c in zip(rows, read, clock, strict=True))
+    answer = called(app, tmp_path, "ladder.csv", "--cell", done.folder / "cell.toml")
+    assert answer.code == 1 and "which no flange cell does" in answer.err and not (tmp_path / "update").exists(), answer.err
