@@ -273,3 +273,10 @@ def test_digits_coarser_than_the_noise_make_repeats_equal_and_only_times_tell(tm
 def test_a_copy_that_tells_another_nest_or_load_is_refused(tmp_path, other, told):
     with pytest.raises(BadInput, match="line 10, " + told):
         read(tmp_path, HEADER, *FINE, FINE[0].replace(*other))
+
+
+def test_a_temperature_in_kelvin_is_refused(tmp_path):
+    """Growth from the cell's reference temperature would be 273 K too much, in all readings alike."""
+    assert read(tmp_path, HEADER + ",temperature_C", ROW + ",61").temperature == [61.0]
+    with pytest.raises(BadInput, match=r"tracker\.csv, line 3, column temperature_C: 295.3 must be at most 200 deg C; kelvin"):
+        read(tmp_path, HEADER + ",temperature_C", ROW + ",22", ROW.replace("1500", "1501") + ",295.3")
