@@ -301,6 +301,22 @@ def test_play_that_the_load_takes_up_gives_under_a_further_load():
     assert np.abs(give[0] - give[1]).max() > 1e-8
 
 
+@pytest.mark.parametrize("text", ["load_backlash:5=4e-4,torque_Nm=60", "joint_stiffening:5=2e-11"])
+def test_under_a_push_as_large_as_its_weight_a_joint_turns_by_what_its_law_says_of_both(text):
+    """Statics of the whole machine under the wrench against the compliance that the contact is told for it."""
+    soft, stiff = (make_arm(CELL, believed(*e)) for e in ((text,), ()))
+    m, wrench = arm_moments(Q[:8], "weight", T0), np.tile([100.0, -160.0, 60.0, 24.0, 36.0, -28.0], (8, 1))
+    pushed = replace(m, load=wrench)
+    moved = [arm.flange(pushed)[:, :3, 3] - arm.flange(m)[:, :3, 3] for arm in (soft, stiff)]
+    found = [np.einsum("kij,kj->ki", arm.compliance_at(arm.settled(m), wrench), wrench)[:, :3] for arm in (soft, stiff)]
+    slope = [np.einsum("kij,kj->ki", arm.compliance(m), wrench)[:, :3] for arm in (soft, stiff)]
+    more, told, straight = (of[0] - of[1] for of in (moved, found, slope))
+    size = np.abs(more).max()
+    assert told == pytest.approx(more, abs=0.02 * size)
+    assert np.abs(straight - more).max() > 0.1 * size  # the slope at the weight alone is another one
+    assert soft.bends_on and not stiff.bends_on
+
+
 def test_every_effect_of_the_arm_is_tested_here():
     tested = {name.split(":")[0].split("=")[0] for name in JOINT_EFFECTS} | {
         "link_bending",
