@@ -24,6 +24,7 @@ from trajectories.passes import MOST_WAYPOINTS, BladePath, ContactFrames, descri
 OFF_SURFACE = 0.2e-3  # m: points farther off than this are refused
 NORMAL_LIMIT = np.deg2rad(15.0)  # a normal that differs more from the surface's is refused
 FEED_LIMIT = np.deg2rad(60.0)  # a feed direction that differs more from the way to the next point is refused
+IN_METRES = 1e-6, 3e-4  # m between the points farthest apart: passes in metres taken as millimetres; no pass is as short
 _NEIGHBOURS = 40  # mesh vertices of a local quadric
 _LARGEST_EXTENT = 0.05  # m: extents are not followed farther than this
 
@@ -47,10 +48,11 @@ def paths_from_points(
     feed (m,) m/s; force (m,) N; source: file, places (m,): what to call each point in messages.
     Points are moved onto the surface and take its normals; t loses its part along n. Where points of a pass stand farther than
     `step` m apart others come between them.
-    Raises: BadInput for points off the surface, wrong normals or feed directions, passes of fewer than 3 points, a way between
-    points that leaves the surface.
+    Raises: BadInput for points in metres, off the surface, wrong normals or feed directions, passes of fewer than 3 points, a way
+    between points that leaves the surface.
     """
     _refuse_lengths(source, places, n, t)
+    refuse_metres(p, f"{source}, {places[0]}")
     name, u, v, foot, normal, gap = feet_on_blade(blade, shape, p, lambda k: f"{source}, {places[k]}")
     angle = angles_to_surface(n, normal, lambda k: f"{source}, {places[k]}")
     paths, waypoints = [], 0
@@ -133,6 +135,16 @@ def _refuse_lengths(source: str, places: list[str], n: Array, t: Array) -> None:
                 f"{source}, {places[k]}: the vector ({what}x, {what}y, {what}z) has length {length[k]:.4g}, "
                 f"a unit vector is expected."
             )
+
+
+def refuse_metres(p: Array, where: str) -> None:
+    """Raises BadInput: the points p (m, 3) m lie as near to one another as in metres; `where` names the first."""
+    span = float(np.ptp(p, axis=0).max())
+    if IN_METRES[0] < span < IN_METRES[1]:
+        raise BadInput(
+            f"{where}: all {len(p)} points lie within {1e3 * span:.2g} mm of one another, which is no pass; if they are in "
+            "metres, give millimetres"
+        )
 
 
 def feet_on_blade(

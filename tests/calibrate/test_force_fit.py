@@ -359,6 +359,11 @@ def lifted(rows):
     rows[5]["py_mm"] = str(float(rows[5]["py_mm"]) + 0.5)
 
 
+def metres(rows):
+    for row in rows:
+        row.update({name: str(float(row[name]) / 1e3) for name in ("px_mm", "py_mm", "pz_mm")})
+
+
 def inward(rows):
     for name in ("nx", "ny", "nz"):
         rows[5][name] = str(-float(rows[5][name]))
@@ -369,6 +374,7 @@ def inward(rows):
     [
         (far, r"line 7, columns q1_deg to q6_deg: the axes bring the contact point .* mm (off the wheel|along)"),
         (lifted, r"line 7, columns px_mm, py_mm, pz_mm: the point .* is 0\.\d+ mm off the surface of .*, the limit is 0.2 mm"),
+        (metres, r"line 2, columns px_mm, py_mm, pz_mm: all .* points lie within .* if they are in metres, give millimetres"),
         (inward, r"line 7, columns nx, ny, nz: the normal .* points into the blade"),
     ],
 )

@@ -122,6 +122,10 @@ def off(rows):
         (change(4, "nx", 5.0), r"line 6: the vector \(nx, ny, nz\) has length"),
         (off, r"line 8: the point .* is 0.300 mm off the surface of sample, the limit is 0.2 mm"),
         (flip(["nx", "ny", "nz"]), r"line 7: the normal .* points into the blade"),
+        (
+            lambda rows: [[r[0], *(v / 1e3 for v in r[1:4]), *r[4:]] for r in rows],
+            r"line 2: all .* points lie .* if they are in metres",
+        ),
         (flip(["tx", "ty", "tz"]), r"line \d+: t is 1[78]\d deg off the way"),
         (lambda rows: [*rows[:2]], r"line 2: line 1 has 2 points, at least 3"),
         (lambda rows: [*rows[:4], rows[3], *rows[4:]], r"line 6: this point of line 1 repeats"),

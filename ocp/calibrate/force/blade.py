@@ -28,7 +28,7 @@ from robots.errors import Infeasible
 from robots.pose import Array
 from trajectories.blade import AerofoilShape, Blade
 from trajectories.blade.spline import curvature_in_frame
-from trajectories.path_points import angles_to_surface, facet_curvature, feet_on_blade
+from trajectories.path_points import angles_to_surface, facet_curvature, feet_on_blade, refuse_metres
 
 # A log's own points and normals are kept where they are as true as a surface fitted to facets is.
 TRUSTED_GAP = 20e-6  # m
@@ -49,13 +49,16 @@ class SurfacePoints:
 def points_on_surface(blade: Blade, shape: AerofoilShape, log: ForceLog) -> SurfacePoints:
     """Feet of the rows in contact; rows in the air keep their own frames and have no curvature.
 
-    Raises BadInput as `feet_on_blade` and `angles_to_surface`: points off the blade, normals that are not its outward ones.
+    Raises BadInput as `refuse_metres`, `feet_on_blade` and `angles_to_surface`: points off the blade, normals that are not its
+    outward ones.
     """
     touching = np.flatnonzero(log.contact).astype(np.int64)
 
     def row(k: int) -> str:
         return f"{log.path}, line {log.row[touching[k]]}, columns"
 
+    if len(touching):
+        refuse_metres(log.p[touching], f"{row(0)} px_mm, py_mm, pz_mm")
     name, u, v, foot, normal, gap = feet_on_blade(blade, shape, log.p[touching], lambda k: f"{row(k)} px_mm, py_mm, pz_mm")
     angle = angles_to_surface(log.n[touching], normal, lambda k: f"{row(k)} nx, ny, nz")
     p, n, t = log.p.copy(), log.n.copy(), log.t.copy()
