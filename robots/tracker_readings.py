@@ -30,7 +30,6 @@ DECIMALS = 6  # of a millimetre that are looked for
 LISTED = 5  # copies that a notice lists
 APPROACH = tuple(f"approach{i}" for i in range(1, 7))
 WORDS = ("target", "payload", "session", "station")
-HOTTEST = 200.0  # deg C that no arm is at while it is measured; kelvin are above it
 SINGLE = ("time_s", "temperature_C", "load_link", "sigma_um", "sigma_rot_deg")
 OPTIONAL = (*POINT, *WORDS, *APPROACH, *LOAD, *PLACE, *TURN, *QUATERNION, *SINGLE)
 LEAST_OF_STRATUM = 30  # readings of a station, nest and payload that thinning leaves
@@ -233,7 +232,7 @@ def read_readings(
         time=table.numbers.get("time_s"),
         waited=None if came is None else np.array([came[line][0] for line in table.line]),
         moved=None if came is None else np.array([came[line][1:] for line in table.line]),
-        temperature=table.column("temperature_C", 1.0, lambda v: v > HOTTEST, f"at most {HOTTEST:g} deg C; kelvin less 273.15"),
+        temperature=table.numbers.get("temperature_C"),
         sigma=table.column("sigma_um", 1e-6, lambda v: v <= 0, "above 0"),
         turn=turn,
         sigma_turn=turn_sd,

@@ -55,7 +55,7 @@ TABLES: dict[str, tuple[Columns, ...]] = {
         _AXES,
         *_CONTACT,
         Columns(("fn_N",), True, "measured normal force", "19.8"),
-        Columns(("ft_N",), False, "force along the belt's motion", "6.9"),
+        Columns(("ft_N",), False, "along axis x outward radial, as belt_m_s", "6.9"),
         Columns(("sigma_fn_N", "sigma_ft_N"), False, "one sigma of the two", "0.1"),
         Columns(("setpoint_N",), False, "that the flange was set to; absent: the cell's", "20.0"),
         Columns(("feed_mm_s",), False, "speed of the contact, 0 or above; absent: from the points", "40.0"),

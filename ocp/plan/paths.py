@@ -151,14 +151,16 @@ def _laid_lines(cell: Cell, blade: Blade, shape: AerofoilShape, cloud: SurfaceCl
     How they lie goes neither with the feed nor with where wheel and blade stand in the cell, and is kept.
     """
     wanted, chosen = wanted_of(cell, blade, cloud, options.stock), replace(_pass_options(cell, options.step), feed=1.0)
+    asked = replace(wanted, programmed_um=None)  # goes with the feed, and is for words
     pressing, cover = Pressing.of(cell), wheel_cover(cell) if options.even else None
-    given = pressing, cover, chosen, blade.content, cell.workpiece.aerofoil, replace(wanted, source=None)
+    given = pressing, cover, chosen, blade.content, cell.workpiece.aerofoil, replace(asked, source=None)
     key = content_key(code_hash(), *(part for pair in sorted(flattened(given).items()) for part in pair))
-    laid = rebuilt(LaidLines, remember("lines", key, lambda: flattened(_lines_on(blade, shape, chosen, pressing, cover, wanted))))
+    laid = rebuilt(LaidLines, remember("lines", key, lambda: flattened(_lines_on(blade, shape, chosen, pressing, cover, asked))))
     paths = [replace(path, feed=cell.process.feed * path.feed) for path in laid.paths]
     beyond: list[CannotGrind] = []
     if options.even:
-        paths, beyond = at_feeds(cell, paths, [laid.r.get(str(k)) for k in range(len(paths))], wanted)
+        r = [laid.r.get(str(k)) for k in range(len(paths))] if laid.flanks else []
+        paths, beyond = at_feeds(cell, paths, r, wanted)
     told = (*blade.notices, *shape.notices, *laid.notices)
     return LaidPaths(blade, paths, cloud, laid.beside, laid.flanks, wanted, beyond, told)
 

@@ -16,7 +16,7 @@ from scipy.interpolate import CubicSpline, PchipInterpolator, interp1d
 
 from ocp.contact.wheel.cover import Cover
 from ocp.contact.wheel.signorini import Contact, LocalShape, solve_force
-from ocp.effects.engine.evaluate import ARM_LAYOUT, ArmPlace, ArmRows, ContactPlace, added_overlap, arm_shift
+from ocp.effects.engine.evaluate import ARM_LAYOUT, ArmPlace, ArmRows, ContactPlace, added_overlap, arm_shift, loaded
 from ocp.model.blade_gap import SurfaceCloud, SurfaceShape, contact_stations, solved_where_needed, surface_shape
 from ocp.model.cell import Cell
 from ocp.plan.rules import FLANGE_FORCE_TOLERANCE, RIGID_FORCE_TOLERANCE
@@ -32,7 +32,9 @@ DIFFERENCE = 1e-6  # rad, central differences of the contact point
 STATION_SPACING = 2.8e-3  # m between contacts solved; not the planner's stations
 FORCE_SPACING = 1.0  # N between contacts solved where the planned force changes
 STATION_MISS = 0.05  # of what the force may be off by: a contact is left out between two where it adds no more than that
-FORCE_STEPS = 4  # Newton steps on the force at a station, until one is below the next line
+FORCE_STEPS = 8  # Newton steps on the force at a station, until one is below the next line; two do where nothing turns over
+PROBE = 0.05  # N, over which the change of what effects add is taken
+LEAST_RATE = 0.2  # of the chain's m/N without effects: none makes it stiffer than that
 FORCE_STEP_ENOUGH = 0.1  # N; the law is so smooth that what is left after it is below 1e-3 N
 
 
@@ -97,7 +99,7 @@ def verify_pass(
     t = on_path["t"] - n * np.sum(on_path["t"] * n, axis=1, keepdims=True)
     t /= np.linalg.norm(t, axis=1, keepdims=True)
     seen = at_stations(conditions, path.s, s)
-    q_real, T_flange = _postures(cell, believed, q, seen)
+    q_real, T_flange, weight = _postures(cell, believed, q, seen)
     T = T_flange @ cell.workpiece.T_flange_blade
     p = apply(T, on_path["p"])
     n_base, t_base = (np.einsum("kij,kj->ki", T[:, :3, :3], v) for v in (n, t))
@@ -115,7 +117,8 @@ def verify_pass(
     at = np.unique(np.clip(np.append(at, np.flatnonzero(np.diff(np.floor(changed / FORCE_SPACING)))), 0, len(s) - 1))
     waypoint = np.abs(path.s - s[at, None]).argmin(axis=1)
     J = _jacobian(cell, believed, q_real[at], on_path["p"][at])
-    levers, weight = np.einsum("ij,ijk->ik", e[at], J), believed.torque(q_real[at])
+    levers = np.einsum("ij,ijk->ik", e[at], J)
+    shapes = [_local_shape(cell, path, int(w), n_base[k], t_base[k], e[k], lateral[k]) for k, w in zip(at, waypoint, strict=True)]
     pushed = [
         _linear_compliance(cell, believed, J, e[at], n_base[at], t_base[at], compliance[waypoint], mu)
         for mu in (wheel.friction, 1.0, 0.0)
@@ -126,13 +129,10 @@ def verify_pass(
         tangent, contact = [], None
         for i in stations:
             k, one = at[i], slice(at[i], at[i] + 1)
-            base = _local_shape(cell, path, int(waypoint[i]), n_base[k], t_base[k], e[k], lateral[k])
-            shape = surface_shape(wheel, cloud, base, T[k], on_path["p"][k])
+            shape = surface_shape(wheel, cloud, shapes[i], T[k], on_path["p"][k])
             here = {name: value[one] for name, value in seen.items()}
-            about = levers[i : i + 1], weight[i : i + 1]
-            sample = StationContacts(
-                cell, q[one], on_path["p"][one], n[one], t[one], T[one], e[one], lateral[one], *about, [base], here
-            )
+            about = lateral[one], levers[i : i + 1], weight[one]
+            sample = StationContacts(cell, q[one], on_path["p"][one], n[one], t[one], T[one], e[one], *about, [shapes[i]], here)
             linear = [given[i] for given in pushed]
             F, rate, contact = _equilibrium(cell, cover, shape, sample, delta[k], float(planned[k]), linear, contact)
             tangent.append((delta[k] - F * rate, rate))
@@ -142,6 +142,7 @@ def verify_pass(
         expected, found = ((delta[at[stations]] - overlap) / rise for overlap, rise in (one.T for one in both))
         return np.abs(expected - found)
 
+    chain(np.flatnonzero([one.kxx <= 0 for one in shapes]))  # too hollow for the wheel: none of these is passed over
     limit = RIGID_FORCE_TOLERANCE if cell.flange is None else FLANGE_FORCE_TOLERANCE
     chosen, tangents = solved_where_needed(s[at], chain, off, STATION_MISS * limit)
     # Where the chain's tangent meets no force varies smoothly, whatever the force; the overlap is judged at every millisecond.
@@ -157,7 +158,7 @@ def gaps(
     """How far (m,) m the wheel is from where it would touch the blade's waypoint `at` of `path` at commanded joints q (m, 6): the
     flange stands out free. compliance (3,) m/N of the blade there; `conditions` of the effects, by name, (m, k) each."""
     seen, wheel = dict(conditions), cell.wheel
-    q_real, T_flange = _postures(cell, believed, q, seen)
+    q_real, T_flange, weight = _postures(cell, believed, q, seen)
     T, p, n, t = T_flange @ cell.workpiece.T_flange_blade, path.p[at], path.n[at], path.t[at]
     lateral, radial, rho = wheel.cylindrical(apply(T, p))
     e, n_base, t_base = radial / rho[:, None], T[:, :3, :3] @ n, T[:, :3, :3] @ t
@@ -171,19 +172,19 @@ def gaps(
     shapes = [_local_shape(cell, path, at, *of) for of in zip(n_base, t_base, e, lateral, strict=True)]
     p, n, t, blade = (np.broadcast_to(one, (len(q), 3)) for one in (p, n, t, compliance))
     J = _jacobian(cell, believed, q_real, p)
-    about = np.einsum("ij,ijk->ik", e, J), believed.torque(q_real)
-    samples = StationContacts(cell, q, p, n, t, T, e, lateral, *about, shapes, seen)
+    samples = StationContacts(cell, q, p, n, t, T, e, lateral, np.einsum("ij,ijk->ik", e, J), weight, shapes, seen)
     rigid = _linear_compliance(cell, believed, J, e, n_base, t_base, blade, wheel.friction)
     none = np.zeros(len(q))
     parts, slopes = np.column_stack([out, none, none, none]), np.column_stack([push**2 * give, none, rigid[:, :2]])
     return np.asarray(left - samples.overlap(none, parts, slopes, none, 0.0 * rigid[:, 2:]))
 
 
-def _postures(cell: Cell, believed: BelievedRobot, q: Array, seen: dict[str, Array]) -> tuple[Array, Array]:
-    """Bent joints (m, 6) and flange poses (m, 4, 4) at commanded joints q (m, 6), with the cell's effects."""
+def _postures(cell: Cell, believed: BelievedRobot, q: Array, seen: dict[str, Array]) -> tuple[Array, Array, Array]:
+    """Bent joints (m, 6), flange poses (m, 4, 4) and torques of the weight (m, 6) N m at commanded joints q (m, 6), with the
+    cell's effects."""
     q_real = bent(cell, believed, q)
     if not cell.effects:
-        return q_real, elementary_forward(believed.robot, q_real)
+        return q_real, elementary_forward(believed.robot, q_real), believed.torque(q_real)
     return moved_arm(cell, believed, q, q_real, seen)
 
 
@@ -203,8 +204,9 @@ def at_stations(conditions: Mapping[str, Array] | None, of: Array, s: Array) -> 
     return found
 
 
-def moved_arm(cell: Cell, arm: BelievedRobot, q: Array, q_real: Array, seen: Mapping[str, Array]) -> tuple[Array, Array]:
-    """Bent joints (m, 6) and flange poses (m, 4, 4) with the cell's effects; q commanded, q_real as the believed arm bends."""
+def moved_arm(cell: Cell, arm: BelievedRobot, q: Array, q_real: Array, seen: Mapping[str, Array]) -> tuple[Array, Array, Array]:
+    """Bent joints (m, 6), flange poses (m, 4, 4) and torques of the weight (m, 6) N m with the cell's effects; q commanded,
+    q_real as the believed arm bends."""
     m, bends = len(q), arm.bending(cell)
     payload = np.concatenate([[arm.payload_mass], arm.payload_com])
     frames = elementary_frames(arm.robot, q_real)
@@ -212,7 +214,8 @@ def moved_arm(cell: Cell, arm: BelievedRobot, q: Array, q_real: Array, seen: Map
     blocks |= {"frames": frames[:, :, :3, :].reshape(m, 84)}
     blocks |= {name: seen[name] for name in ("approach", "speed", "warm", "time")}
     rows = ArmRows(ArmPlace.of(arm.robot, (cell.workpiece.payload_name,)), ARM_LAYOUT.stack(m, blocks))
-    shift = arm_shift([e.active for e in cell.effects], rows)
+    active = [e.active for e in cell.effects]
+    shift = arm_shift(active, rows)
     dq, real = shift.joints[0, :, :, 0], q_real
     for _ in range(FIXED_POINT_STEPS):
         real = q + dq + bends * arm.torque(real)
@@ -227,7 +230,7 @@ def moved_arm(cell: Cell, arm: BelievedRobot, q: Array, q_real: Array, seen: Map
         for i in range(link + 1, 7):
             at[:, i] += v + np.cross(w, at[:, i] - at[:, link])
         at[:, link] += v
-    return real, T
+    return real, T, loaded(active, rows).block("tau")
 
 
 @dataclass(frozen=True)
@@ -310,15 +313,20 @@ def _equilibrium(
         x = float(np.clip(free, -stroke[2], stroke[2]))  # at its stops the flange is rigid
         parts = (x * push, contact.indentation, *(F * rigid))
         slopes = (push**2 * stroke[1] * (x == free), 1.0 / contact.stiffness, *rigid)
-        more = 0.0
+        more, rate = 0.0, float(sum(slopes))
         if cell.effects:
-            given = (np.array([value]) for value in (F, parts, slopes, F * rubbed, F * push_of))
-            more = float(sample.overlap(*given)[0])
-        step = (delta + more - sum(parts)) / sum(slopes)
+            ends = []  # what effects add goes with the force
+            for at in (F, F + PROBE):
+                there = np.array(parts) + (at - F) * np.array(slopes)
+                given = (np.array([value]) for value in (at, there, slopes, at * rubbed, at * push_of))
+                ends.append(float(sample.overlap(*given)[0]))
+            more = ends[0]
+            rate = max(rate - (ends[1] - ends[0]) / PROBE, LEAST_RATE * rate)
+        step = (delta + more - sum(parts)) / rate
         F = max(F + step, 0.05 * F)
         if abs(step) < FORCE_STEP_ENOUGH:
             break
-    return F, sum(slopes), contact
+    return F, rate, contact
 
 
 def _local_shape(cell: Cell, path: BladePath, k: int, n: Array, t: Array, e: Array, lateral: float) -> LocalShape:

@@ -140,7 +140,7 @@ def test_the_arm_with_effects_equals_the_elementary_route():
     still = q
     for _ in range(4):
         still = q + bends * arm.torque(still)
-    _real, T = moved_arm(cell, arm, q, still, at.named_conditions(cell))
+    _real, T, _weight = moved_arm(cell, arm, q, still, at.named_conditions(cell))
     seen = solver.evaluate(at, q, at.path.force)
     moved = T @ cell.workpiece.T_flange_blade
     believed = elementary_forward(cell.robot, still) @ cell.workpiece.T_flange_blade

@@ -128,7 +128,7 @@ def tracker_table(sealed: bool, n: int = 24) -> bytes:
 def force_table(sealed: bool, n: int = 12) -> bytes:
     columns = {"run": ["a", "b"] * 0 + ["a"] * (n // 2) + ["b"] * (n // 2), "time_s": [0.01 * k for k in range(n)]} | _axes(n)
     columns |= _spread(n, **CONTACT)
-    columns |= {} if sealed else _spread(n, fn_N=20.5, ft_N=7.0, sigma_fn_N=0.2, sigma_ft_N=0.3)
+    columns |= {} if sealed else _spread(n, fn_N=20.5, ft_N=-7.0, sigma_fn_N=0.2, sigma_ft_N=0.3)
     columns |= _spread(n, setpoint_N=20.0, feed_mm_s=40.0, belt_m_s=-20.0, line=2, ground_before=1, contact=1, session="monday")
     return _table(columns | _spread(n, s_mm=1.0, temperature_C=22.0, wheel_temperature_C=25.0, clock_s=5.0))
 

@@ -256,8 +256,8 @@ def test_a_log_too_rough_to_tell_anything_is_told(world, worn):
     _, last = worn[-1]
     rng, cell = np.random.default_rng(4), replace(world.cell, calibration=last.states[3])
     log = world.ground(force_prior(world.cell).mean, 6 * BETWEEN, WEAR, rng)
-    walk = np.cumsum(3.0 * rng.normal(size=len(log)))
-    rough = updated(cell, replace(log, fn=log.fn + walk), world.setup, history_of(cell.calibration, cell.path), "rough")
+    noise = 60.0 * rng.normal(size=len(log))  # with less, runs differ as no flange cell's do
+    rough = updated(cell, replace(log, fn=log.fn + noise), world.setup, history_of(cell.calibration, cell.path), "rough")
     assert not rough.verdict.directions
     assert any("tells nothing that was not known" in text and "N rms off the fit" in text for text in rough.notices)
     assert not any("tells nothing" in text for _, made in worn for text in made.notices)

@@ -380,7 +380,7 @@ def unseen(d: Diagnosis, channel: ForceChannel, library: dict[str, Effect]) -> l
     """Effects of the contact that this log would not show at their usual size, at that size against nothing; odds are the
     prior's, less what evidence pays for variants and coefficients (docs/diagnosis.md, eq. 4)."""
     smallest = {s.name.effect: s.smallest for s in d.screened}
-    known = [e for e in library.values() if e.on_contact and smallest.get(e.name, np.inf) > 1.0]
+    known = [e for e in library.values() if e.on_contact and not e.on_arm and smallest.get(e.name, np.inf) > 1.0]
     known = sorted(known, key=lambda e: smallest.get(e.name, np.inf))[:HIDDEN]
     kinds = max(len(smallest), 1)
     found = []

@@ -128,6 +128,7 @@ def solve_directly(ground: Ground, problem: PassProblem, force: Array, solved: E
     def off(stations: NDArray[np.int64], expected: Array, found: Array) -> Array:
         return np.abs(expected - found) * solved.stiffness[index[stations]]
 
+    missed(index[solved.curvature[index, 0] <= 0])  # too hollow for the wheel: none of these is passed over
     chosen, more_there = solved_where_needed(path.s[index], lambda k: missed(index[k]), off, DIRECT_TOLERANCE / 3.0)
     index = index[chosen]
     rough = np.abs(np.diff(more_there)) * solved.stiffness[index[1:]] > ROUGH * force_tolerance(ground.cell)

@@ -167,13 +167,13 @@ def even_lines(
     pressing: Pressing, cover: Cover, paths: Sequence[BladePath], flanks: Sequence[SideCells], wanted: Wanted
 ) -> list[Array | None]:
     """r (n,) at the waypoints of the paths, by which all of them together take off what is wanted on the asked cells of the
-    flanks: the programmed feed over r. None for a path on which the wheel bears nowhere, or off the flanks.
+    flanks: the programmed feed over r. None for a path on which the wheel bears nowhere, or off the flanks; nothing without any.
 
     Raises BadInput: a map of the wanted depth leaves asked surface out.
     """
-    found: list[Array | None] = [None] * len(paths)
     if not flanks:
-        return found
+        return []
+    found: list[Array | None] = [None] * len(paths)
     asked, lines = _Asked.of(flanks, wanted), {}
     for k, (path, patches) in enumerate(zip(paths, planned_patches_of(pressing, cover, paths), strict=True)):
         if patches is not None:
@@ -190,6 +190,8 @@ def at_feeds(
 ) -> tuple[list[BladePath], list[CannotGrind]]:
     """The paths at the feeds of `even_lines`, and what of them is beyond what the programmed force and the feeds of
     `ocp.plan.rules.FEEDS` reach. A path without r keeps its feed."""
+    if not r:
+        return list(paths), []
     feed = cell.process.feed
     timed = [path if own is None else replace(path, feed=feed / own) for path, own in zip(paths, r, strict=True)]
     beyond = [error for path in timed if (error := beyond_reach(cell, path, wanted)) is not None]

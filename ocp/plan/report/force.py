@@ -107,7 +107,7 @@ class ForcePanels(Part):
         while first < count:
             left = (count - first + 1) // 2
             sheets.need(BESIDE_ROWS + PANEL_ROW * min(left, LEAST_ROWS))
-            last = min(first + 2 * int((sheets.room - BESIDE_ROWS) / PANEL_ROW), count)
+            last = min(first + 2 * max(int((sheets.room - BESIDE_ROWS) / PANEL_ROW + 1e-9), 1), count)
             caption = f"In the order of the program: passes {first + 1} to {last} of {count}."
             height = 0.5 + PANEL_ROW * ((last - first + 1) // 2)
             draw = partial(_draw_forces, self.report, self.report.passes[first:last])

@@ -34,6 +34,7 @@ from ocp.simulate.twin.contact.table import (
     place_stations,
 )
 from ocp.simulate.twin.truth import Truth
+from robots.errors import Infeasible
 from robots.pose import Array
 from trajectories.blade import Blade
 
@@ -255,7 +256,8 @@ def _curve(depth: Array, slopes: Array, v: Array) -> Array:
 
 FAR_APART = 1.0  # m
 BESIDE_TOUCH = 1e-3  # m before touch from which on the contact's curve is worked out
-ROUNDS = 5  # of the contact and what of the arm goes with it: play over a torque_Nm is left within a percent
+ROUNDS = 60  # of the contact and what of the arm goes with it, until no force changes by BALANCED, N
+BALANCED = 2e-3
 PAUSE = 0.5  # s without a row in contact after which the cover and the flange have forgotten
 
 
@@ -333,11 +335,20 @@ class Grinder:
         return found
 
     def borne(self, c: ContactMoments, compliance: Callable[[Array], Array]) -> ContactMoments:
-        """`c` with the arm's `compliance` under the wrenches (n, 6) that the contact itself puts on the flange."""
+        """`c` with the arm's `compliance` under the wrenches (n, 6) that the contact itself puts on the flange.
+
+        More force leaves more give or less: a step that turns back is halved from then on. Raises Infeasible: no balance.
+        """
         near = self.in_reach(c)
+        force, share, last = self.force(near).force, np.ones(len(c.s)), np.zeros(len(c.s))
         for _ in range(ROUNDS):
-            near = replace(near, arm_compliance=compliance(self.wrenches(near, self.force(near).force)))
-        return replace(c, arm_compliance=near.arm_compliance)
+            near = replace(near, arm_compliance=compliance(self.wrenches(near, force)))
+            step = self.force(near).force - force
+            if np.abs(step).max(initial=0.0) < BALANCED:
+                return replace(c, arm_compliance=near.arm_compliance)
+            share = np.where(step * last < 0, 0.5 * share, share)
+            force, last = force + share * step, step
+        raise Infeasible(f"contact and arm find no balance in {ROUNDS} rounds; plant a smaller play or a larger torque_Nm")
 
     def depth(self, c: ContactMoments) -> Array:
         """Overlap (n,) m of the undeformed bodies along the wheel's direction into the blade, stroke 0; below zero: apart, by
