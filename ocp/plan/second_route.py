@@ -1,4 +1,5 @@
-"""The force of a written program by a second route, sharing nothing with the model that planned it.
+"""The force of a written program by a second route, sharing nothing with the model that planned it but the rule by which contacts
+between neighbours that tell them are left out.
 
 Joints come from the text read back and interpolated as a controller would; kinematics are elementary motions in NumPy,
 gravity torques Pinocchio's at the converged bent posture, Jacobians finite differences, and the wheel contact is the
