@@ -32,6 +32,7 @@ APPROACH = tuple(f"approach{i}" for i in range(1, 7))
 WORDS = ("target", "payload", "session", "station")
 SINGLE = ("time_s", "temperature_C", "load_link", "sigma_um", "sigma_rot_deg")
 OPTIONAL = (*POINT, *WORDS, *APPROACH, *LOAD, *PLACE, *TURN, *QUATERNION, *SINGLE)
+WARMEST = 55.0  # deg C that arms are made for; a hall at 68 to 77 is one in degrees Fahrenheit
 LEAST_OF_STRATUM = 30  # readings of a station, nest and payload that thinning leaves
 REPEAT_TOLERANCE = np.radians(1e-4)
 RESTARTS = 3  # times that a clock begins anew in a session; rows sorted by something else fall back far oftener
@@ -280,6 +281,12 @@ def _notices(table: CsvTable, payloads: dict[str, Hanging]) -> list[str]:
         if 0 < len(given) < len(group):
             found.append(f"{name}: of {', '.join(group)} only {', '.join(given)} are given; they are ignored")
     found += _clock_begun_anew(table)
+    warm = table.numbers.get("temperature_C", np.zeros(0))
+    if (warm > WARMEST).sum() > len(warm) / 2:
+        found.append(
+            f"{name}: temperature_C is above {WARMEST:g} in most rows, warmer than arms are made for; if these are degrees "
+            "Fahrenheit, convert them"
+        )
     if "payload" not in table.words and len(payloads) > 1:
         found.append(f"{name}: no column payload: '{next(iter(payloads))}' is taken to hang on the flange throughout")
     return found

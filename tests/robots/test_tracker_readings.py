@@ -277,6 +277,8 @@ def test_a_copy_that_tells_another_nest_or_load_is_refused(tmp_path, other, told
 
 def test_a_temperature_in_kelvin_is_refused(tmp_path):
     """Growth from the cell's reference temperature would be 273 K too much, in all readings alike."""
-    assert read(tmp_path, HEADER + ",temperature_C", ROW + ",61").temperature == [61.0]
+    warm = read(tmp_path, HEADER + ",temperature_C", ROW + ",61")
+    assert warm.temperature == [61.0] and "if these are degrees Fahrenheit" in " ".join(warm.notices)
+    assert "Fahrenheit" not in " ".join(read(tmp_path, HEADER + ",temperature_C", ROW + ",31").notices)
     with pytest.raises(BadInput, match=r"tracker\.csv, line 3, column temperature_C: 295.3 .* kelvin"):
         read(tmp_path, HEADER + ",temperature_C", ROW + ",22", ROW.replace("1500", "1501") + ",295.3")
