@@ -6,16 +6,20 @@ from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
 
+import casadi as ca
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ocp.calibrate.force.model import ForceModel, ForceRows
+from ocp.contact.wheel.signorini import LocalShape, solve_force
 from ocp.data import BLADE, CELL
 from ocp.effects.cell_effects import effect_of, patch_effect_of
 from ocp.effects.engine.symbolic import CONDITIONS
 from ocp.model.cell import Cell, RunConditions, held_by_friction, history_notices, read_cell
+from ocp.model.force_balance import build_model
+from ocp.model.prepare import wheel_cover
 from ocp.model.theta import NAMES, believed_theta, with_effects
 from ocp.plan.__main__ import app
 from ocp.plan.clearance import CollisionScene
@@ -25,7 +29,7 @@ from ocp.plan.passes.solve import PassSolver
 from ocp.plan.passes.stage import ObjectiveWeights
 from ocp.plan.paths import PlanOptions
 from ocp.plan.planning import cell_to_plan, patch_notices
-from ocp.plan.second_route import BelievedRobot, moved_arm
+from ocp.plan.second_route import BelievedRobot, _equilibrium, moved_arm
 from robots.errors import BadInput
 from robots.reference_kinematics import elementary_forward
 from tests.plan.test_optimal_control import BAR
@@ -148,6 +152,45 @@ def test_the_arm_with_effects_equals_the_elementary_route():
     assert shift > 1e-4
     # The model takes two fixed-point steps of the sag, this route four.
     assert np.abs(seen.T_base_blade - moved)[:, :3, 3].max() < 5e-3 * shift
+
+
+def test_the_torque_at_the_contact_is_that_of_what_really_hangs():
+    """Model and second route, with a payload 8 kg heavier than believed: the play that a contact turns on begins there."""
+    cell = cell_with({"effect": "payload_mass", "kg": 8.0, "payload": "grinder"})
+    model, w, q = build_model(cell, LineLaw()), problem().waypoints[:1], problem().seed.q[:1]
+    at = problem().conditions(cell)[:1]
+    values = believed_theta(cell).values
+    tau = ca.Function("tau", [model.q, model.w, model.theta], [model.tau])(q[0], np.hstack([w, at])[0], values)
+    bends = values[30:36] * np.array([float(j in cell.compliant_joints) for j in range(1, 7)])
+    arm, heavy = (BelievedRobot(cell.robot, bends, float(values[36]) + more, values[37:40]) for more in (0.0, 8.0))
+    named = {name: value[:1] for name, value in problem().named_conditions(cell).items()}
+    seen = moved_arm(cell, arm, q, q + bends * arm.torque(q), named)[2]
+    wanted = heavy.torque(q)
+    assert np.abs(wanted - arm.torque(q)).max() > 50.0
+    assert np.asarray(tau).ravel() == pytest.approx(wanted[0], abs=2.0)
+    assert seen == pytest.approx(wanted, abs=2.0)
+
+
+def test_the_second_route_finds_the_force_where_play_turns_over_under_the_push():
+    """Plain Newton without the effect's own slope swings ever wider there."""
+    cell, lever, play, torque, weight = read_cell(CELL), 0.4, 8e-4, 3.0, -8.0
+    cell = replace(
+        cell, flange=None, effects=(effect_of({"effect": "load_backlash", "joint": 5, "half_width_rad": play, "torque_Nm": 3.0}),)
+    )
+    cover, shape, chain = wheel_cover(cell), LocalShape(1 / cell.wheel.radius + 5.0, 0.5), 1e-6
+
+    def added(F, parts, slopes, rubbed, pushed):
+        return -lever * play * (np.tanh((weight + pushed[:, 4]) / torque) - np.tanh(weight / torque))
+
+    push = np.array([0.0, 0.0, 0.0, 0.0, lever, 0.0])
+    sample = SimpleNamespace(T=np.eye(4)[None], n=np.array([[1.0, 0.0, 0.0]]), overlap=added)
+    linear = [np.array([chain, chain, *push])] * 3
+    depth = solve_force(cover, 20.0, shape).indentation + 40.0 * chain - added(20.0, 0, 0, 0, 20.0 * push[None])[0]
+    for begun in (17.0, 20.5, 24.0):
+        F, rate, _ = _equilibrium(cell, cover, shape, sample, depth, begun, linear, None)
+        assert F == pytest.approx(20.0, abs=0.02), begun
+        plain = 1.0 / solve_force(cover, 20.0, shape).stiffness + 2.0 * chain
+        assert rate == pytest.approx(plain + lever**2 * play / torque, rel=0.05)
 
 
 def test_overlap_and_push_of_effects_shift_the_balance_by_what_they_are():

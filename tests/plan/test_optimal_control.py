@@ -9,18 +9,19 @@ import numpy as np
 import pytest
 
 from ocp.contact.wheel.signorini import LocalShape, solve_force
-from ocp.model.blade_gap import SurfaceCloud
+from ocp.model.blade_gap import SurfaceCloud, contact_stations
 from ocp.model.prepare import wheel_cover
 from ocp.model.theta import Theta, believed_theta
 from ocp.plan.clearance import CollisionScene
 from ocp.plan.passes import posture
 from ocp.plan.passes.course import steady
-from ocp.plan.passes.optimise import Ground, PassWorker, solve_directly
+from ocp.plan.passes.optimise import STATION_SPACING, Ground, PassWorker, solve_directly
 from ocp.plan.passes.posture import find_seeds
 from ocp.plan.passes.problem import PassProblem, with_direction
 from ocp.plan.passes.smoothness import axis_rows, axis_use, between_bends, derivative_weights, quadratic_form
 from ocp.plan.passes.solve import LEAST_TURN, TURN_KEPT, PassSolver
 from ocp.plan.passes.stage import N_PARAMETERS, N_ROWS, N_Z, ObjectiveWeights
+from ocp.plan.passes.stretches import CannotGrind
 from ocp.plan.passes.transcription import AROUND, N_DYNAMIC, N_MOTION, REACH, transcribe
 from ocp.plan.removal.footprint import CELL, Pressing, contacts_along, line_patches, planned_patches
 from ocp.plan.rules import JERK_TIME, SPEED_SHARE
@@ -363,3 +364,8 @@ def test_a_first_solve_is_pressed_in_as_the_contact_solved_directly_is():
     at = np.searchsorted(path.s, looked.patches.at)
     assert np.abs(looked.missed).max() > 5e-5
     assert direct[at] == pytest.approx(looked.missed, abs=2e-6)
+    seen = solver.evaluate(known, q, path.force)
+    between = contact_stations(path.s, STATION_SPACING)[1]  # one that its neighbours tell
+    hollow = replace(seen, curvature=np.where((np.arange(len(path.s)) == between)[:, None], -seen.curvature, seen.curvature))
+    with pytest.raises(CannotGrind, match="hollow along the belt"):
+        solve_directly(ground, known, path.force, hollow)
