@@ -72,8 +72,7 @@ def build_model(cell: Cell, law: WheelLaw, sigma: int = 1, uncertain: bool = Fal
     bends = ca.SX.sym("bends", 6) if any_bend else ca.SX(ca.DM(bending(cell)))
     frames, q_real, T_base_flange, tau = _arm(cell, q, par, bends, effects)
     R_real, p_real = _blade_pose(cell, T_base_flange, par)
-    p = p_real + R_real @ waypoint["p"]
-    n, t = R_real @ waypoint["n"], R_real @ waypoint["t"]
+    p, n, t = p_real + R_real @ waypoint["p"], R_real @ waypoint["n"], R_real @ waypoint["t"]
 
     radius = cell.wheel.radius + par["wheel_radius"]
     axis, e, belt, lateral, delta, arc = _on_wheel(cell, par, p, radius)
@@ -90,8 +89,7 @@ def build_model(cell: Cell, law: WheelLaw, sigma: int = 1, uncertain: bool = Fal
     )
     d_blade = F * _blade_compliance(cell, waypoint["blade_compliance"], n, t, force_direction, par)
     joint_lever, joint_push = (_about_joints(cell, frames, p, of) for of in (e, F * force_direction))
-    d_robot = ca.dot(par["c"], joint_lever * joint_push)
-    parts = ca.vertcat(x_flange, d_wheel, d_blade, d_robot)
+    parts = ca.vertcat(x_flange, d_wheel, d_blade, ca.dot(par["c"], joint_lever * joint_push))
     extra = ca.SX(0)
     if effects.on_contact:
         seen = {"lateral": lateral, "tilt": tilt, "arc": arc, "turn": turn, "curvature": curvature, "axis": axis, "e": e}

@@ -9,6 +9,7 @@ into them are this route's.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -95,14 +96,11 @@ def verify_pass(
     meant there, by default the path's; `conditions`: what the cell's effects
     depend on there, by name, (n, k) each (`ocp.effects.engine.symbolic.CONDITIONS`).
     """
-    on_path = {name: CubicSpline(path.s, getattr(path, name))(s) for name in ("p", "n", "t")}
-    n = on_path["n"] / np.linalg.norm(on_path["n"], axis=1, keepdims=True)
-    t = on_path["t"] - n * np.sum(on_path["t"] * n, axis=1, keepdims=True)
-    t /= np.linalg.norm(t, axis=1, keepdims=True)
+    point, n, t = _on_path(path, s)
     seen = at_stations(conditions, path.s, s)
     q_real, T_flange, weight = _postures(cell, believed, q, seen)
     T = T_flange @ cell.workpiece.T_flange_blade
-    p = apply(T, on_path["p"])
+    p = apply(T, point)
     n_base, t_base = (np.einsum("kij,kj->ki", T[:, :3, :3], v) for v in (n, t))
     wheel = cell.wheel
     v = p - wheel.centre
@@ -112,32 +110,19 @@ def verify_pass(
     e = radial / rho[:, None]
     delta = wheel.radius - rho
 
-    at = np.searchsorted(s, np.clip(path.s[contact_stations(path.s, STATION_SPACING)], s[0], s[-1]))
     planned = np.interp(s, path.s, path.force) if planned is None else planned
-    changed = np.cumsum(np.abs(np.diff(planned, prepend=planned[0])))
-    at = np.unique(np.clip(np.append(at, np.flatnonzero(np.diff(np.floor(changed / FORCE_SPACING)))), 0, len(s) - 1))
+    at = _stations(path, s, planned)
     waypoint = np.abs(path.s - s[at, None]).argmin(axis=1)
-    J = _jacobian(cell, believed, q_real[at], on_path["p"][at])
-    levers = np.einsum("ij,ijk->ik", e[at], J)
+    J = _jacobian(cell, believed, q_real[at], point[at])
     shapes = [_local_shape(cell, path, int(w), n_base[k], t_base[k], e[k], lateral[k]) for k, w in zip(at, waypoint, strict=True)]
     pushed = [
         _linear_compliance(cell, believed, J, e[at], n_base[at], t_base[at], compliance[waypoint], mu)
         for mu in (wheel.friction, 1.0, 0.0)
     ]
-
-    def chain(stations: NDArray[np.int64]) -> Array:
-        """Overlap m at which the chain's tangent meets no force, and its m/N."""
-        tangent, contact = [], None
-        for i in stations:
-            k, one = at[i], slice(at[i], at[i] + 1)
-            shape = surface_shape(wheel, cloud, shapes[i], T[k], on_path["p"][k])
-            here = {name: value[one] for name, value in seen.items()}
-            about = lateral[one], levers[i : i + 1], weight[one]
-            sample = StationContacts(cell, q[one], on_path["p"][one], n[one], t[one], T[one], e[one], *about, [shapes[i]], here)
-            linear = [given[i] for given in pushed]
-            F, rate, contact = _equilibrium(cell, cover, shape, sample, delta[k], float(planned[k]), linear, contact)
-            tangent.append((delta[k] - F * rate, rate))
-        return np.array(tangent)
+    here, levers = {name: value[at] for name, value in seen.items()}, np.einsum("ij,ijk->ik", e[at], J)
+    placed = q[at], point[at], n[at], t[at], T[at], e[at], lateral[at], levers, weight[at]
+    contacts = StationContacts(cell, *placed, shapes, here)
+    chain = partial(_tangents, cover, cloud, contacts, delta[at], planned[at], pushed)
 
     def off(stations: NDArray[np.int64], *both: Array) -> Array:
         expected, found = ((delta[at[stations]] - overlap) / rise for overlap, rise in (one.T for one in both))
@@ -151,6 +136,43 @@ def verify_pass(
     force = (delta - overlap) / rise
     stopped = np.interp(s, s[at], [_stopped(cell, T[k], n_base[k]) for k in at])
     return VerifiedPass(time, s, np.maximum(force, 0.0), delta, planned, stopped)
+
+
+def _on_path(path: BladePath, s: Array) -> tuple[Array, Array, Array]:
+    """Points (m, 3) m, unit normals and feeds (m, 3) of a path at arc lengths s (m,) m, blade frame."""
+    p, n, t = (CubicSpline(path.s, of)(s) for of in (path.p, path.n, path.t))
+    n = n / np.linalg.norm(n, axis=1, keepdims=True)
+    t = t - n * np.sum(t * n, axis=1, keepdims=True)
+    return p, n, t / np.linalg.norm(t, axis=1, keepdims=True)
+
+
+def _stations(path: BladePath, s: Array, planned: Array) -> NDArray[np.int64]:
+    """Rows at which contacts may be solved: some millimetres apart, and where the planned force (m,) N has changed by another
+    FORCE_SPACING."""
+    apart = np.searchsorted(s, np.clip(path.s[contact_stations(path.s, STATION_SPACING)], s[0], s[-1]))
+    changed = np.cumsum(np.abs(np.diff(planned, prepend=planned[0])))
+    steps = np.flatnonzero(np.diff(np.floor(changed / FORCE_SPACING)))
+    return np.unique(np.clip(np.append(apart, steps), 0, len(s) - 1))
+
+
+def _tangents(
+    cover: Cover,
+    cloud: SurfaceCloud,
+    contacts: "StationContacts",
+    delta: Array,
+    planned: Array,
+    pushed: Sequence[Array],
+    stations: NDArray[np.int64],
+) -> Array:
+    """Of some stations (k,) the overlap at which the chain's tangent meets no force, m, and its m/N, (k, 2). delta (m,) m and
+    planned (m,) N of all contacts, pushed: their `_linear_compliance` with the cell's friction, with 1 and with 0."""
+    tangents, beside = [], None
+    for i in stations:
+        one, linear = contacts.only(int(i)), [of[i] for of in pushed]
+        shape = surface_shape(one.cell.wheel, cloud, one.shapes[0], one.T[0], one.p[0])
+        F, rate, beside = _equilibrium(one.cell, cover, shape, one, float(delta[i]), float(planned[i]), linear, beside)
+        tangents.append((delta[i] - F * rate, rate))
+    return np.array(tangents)
 
 
 def gaps(
@@ -252,6 +274,11 @@ class StationContacts:
     weight: Array
     shapes: Sequence[LocalShape]
     seen: Mapping[str, Array]
+
+    def only(self, i: int) -> "StationContacts":
+        """One of them."""
+        cut = {name: value[i : i + 1] for name, value in vars(self).items() if name not in ("cell", "seen")}
+        return replace(self, **cut, seen={name: value[i : i + 1] for name, value in self.seen.items()})
 
     def overlap(self, F: Array, parts: Array, slopes: Array, friction_deflection: Array, joint_push: Array) -> Array:
         """Overlap (m,) m that the cell's effects add at forces F (m,) N; parts (m, 4) m and slopes (m, 4) m/N of flange, wheel,
