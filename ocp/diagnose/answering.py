@@ -29,7 +29,7 @@ from ocp.diagnose.report.verdict_sentence import diagnosis_headline, not_written
 from ocp.diagnose.rules import FOLLOWED_FORCE, LEADS
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.diagnose.tracker.refit import believed_baseline
-from ocp.diagnose.verdict.answer import Answer, promised
+from ocp.diagnose.verdict.answer import Answer, known_beside, promised
 from ocp.diagnose.verdict.diagnosis import diagnose_channels
 from ocp.diagnose.verdict.patching import seen_by
 from ocp.diagnose.verdict.probabilities import gathered
@@ -148,10 +148,20 @@ def answer_of(folder: Path, phases: Phases, known: dict[str, Effect] | None = No
 def _at_rest(found: Diagnosis, written: tuple[Active, ...]) -> tuple[tuple[Active, ...], tuple[Channel, ...]]:
     """The effects that are to be written and the channels with them and no others; where no fit with them comes to rest none."""
     if effects_key(written) == effects_key(found.active):
-        return written, found.channels
+        return written, _knowing(found.channels, written)
     with suppress(Infeasible):
-        return written, tuple(c.with_active(written) if written else c for c in found.baseline)
+        return written, _knowing([c.with_active(written) if written else c for c in found.baseline], written)
     return (), found.baseline
+
+
+def _knowing(channels: Sequence[Channel], written: tuple[Active, ...]) -> tuple[Channel, ...]:
+    """Channels that predict with effects at the sizes that are written, where they see those only in part."""
+    if len({c.name for c in channels} - {"force"}) in (0, len(channels)):
+        return tuple(channels)
+    from ocp.diagnose.force.channel import ForceChannel  # blade and contact: only for those who measured force
+
+    known = known_beside("force", channels, written)
+    return tuple(replace(c, known=known) if isinstance(c, ForceChannel) else c for c in channels)
 
 
 def with_either_sign(known: dict[str, Effect], believed: Sequence[Active]) -> dict[str, Effect]:

@@ -16,7 +16,7 @@ from ocp.diagnose.dataset import CELL, DataSet
 from ocp.diagnose.engine.channel_system import Channel
 from ocp.diagnose.force.prior import posterior_of
 from ocp.diagnose.tracker.channel import TrackerChannel
-from ocp.diagnose.verdict.answer import Answer
+from ocp.diagnose.verdict.answer import Answer, known_beside
 from ocp.diagnose.verdict.shrinkage import Shrinkage
 from ocp.effects.cell_effects import table_of
 from ocp.effects.effect import Active, scan_key
@@ -120,8 +120,7 @@ def _of_contact(channels: Mapping[str, Channel], data: DataSet, written: Sequenc
     channel = channels["force"]
     assert isinstance(channel, ForceChannel)
     believed, fit = channel.problem.believed, channel.fit
-    others = {a.key for name, c in channels.items() if name != "force" for a in c.active}
-    told = {a.key: a.a for a in written if a.key in others}  # the log alone leaves their sizes open
+    told = {a.key: a.a for a in known_beside("force", channels.values(), written)}  # the log alone leaves their sizes open
     off = [(told.get(a.key, np.nan) - a.a) / a.effect.prior_sd for a in fit.active]
     x, covariance = left_beside(believed.root, fit.at.x, fit.information, np.concatenate([[], *off]))
     known = np.flatnonzero(np.diag(covariance)[: len(FIT_NAMES)] > 0)

@@ -3,6 +3,7 @@
 import csv
 import shutil
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from ocp.diagnose.answering import channels_of, tracker_channel
 from ocp.diagnose.corrected import calibration_of
 from ocp.diagnose.dataset import read_data_set
 from ocp.diagnose.force.channel import ForceChannel, force_channel
+from ocp.diagnose.force.held_out import at_known_sizes
 from ocp.diagnose.force.prior import arm_with_effects, contact_prior
 from ocp.diagnose.verdict.diagnosis import diagnose_channels
 from ocp.effects.catalogue import library
@@ -121,3 +123,28 @@ def test_a_log_of_single_rows_is_refused_in_one_sentence(tmp_path):
         csv.writer(file).writerows([head, *([*row[:run], str(k), *row[run + 1 :]] for k, row in enumerate(rows[:300]))])
     with pytest.raises(BadInput, match="0 rows in contact follow another one of their recording; at least 20 are needed"):
         read_data_set(tmp_path)
+
+
+def test_predicted_forces_take_the_sizes_that_are_written():
+    """Against the posterior of log and another signal's reading of the size together."""
+    rng, sd = np.random.default_rng(3), 2e-4
+    J, y, root = rng.normal(size=(40, 6)), rng.normal(size=40), rng.normal(size=(4, 3))
+    wave, scale = library()["gear_2x"], replace(library()["encoder_scale"], prior_sd=(sd,))
+    units = np.array([sd, *wave.prior_sd])  # unknowns: three of the nuisance, the scale's size, the wave's two
+    z, other, precise = np.linalg.solve(np.eye(6) + J.T @ J, J.T @ y), 0.6, 50.0
+    active = (
+        Active(scale, 2, units[:1] * z[3:4], {}, np.zeros((1, 1))),
+        Active(wave, 3, units[1:] * z[4:], {}, np.zeros((2, 2))),
+    )
+    told = np.eye(6) + J.T @ J
+    at = SimpleNamespace(x=root @ z[:3], active=active)
+    fit = SimpleNamespace(information=told, active=active, at=at)
+    problem = SimpleNamespace(sizes=(3, 0), believed=SimpleNamespace(root=root))
+    both = told + np.diag([0, 0, 0, precise, 0, 0])
+    expected, covariance = np.linalg.solve(both, J.T @ y + np.eye(6)[3] * precise * other), np.linalg.inv(both)
+    known = replace(active[0], a=units[:1] * expected[3], covariance=covariance[3:4, 3:4] * sd**2)
+    x, moved, found = at_known_sizes(problem, fit, (known,))
+    assert x == pytest.approx(root @ expected[:3], abs=1e-12) and found == pytest.approx(covariance, abs=1e-12)
+    assert np.concatenate([a.a for a in moved]) == pytest.approx(units * expected[3:], rel=1e-9)
+    x, moved, found = at_known_sizes(problem, fit, ())
+    assert x == pytest.approx(at.x) and moved == active and found == pytest.approx(np.linalg.inv(told))

@@ -44,7 +44,8 @@ OF_CONDITIONS = ("approach", "time", "s", "travel")
 @dataclass(frozen=True)
 class ForceChannel:
     """A force log with the fit of the believed contact and of the active effects. `found` keeps the trains of a
-    belt's splice that were found at first, `made` the conditions that are to be predicted."""
+    belt's splice that were found at first, `made` the conditions that are to be predicted; known: effects at sizes that other
+    signals show too, for what is predicted."""
 
     problem: ForceProblem
     fit: EffectFit
@@ -53,6 +54,7 @@ class ForceChannel:
     judged: dict[tuple[object, ...], "ForceChannel"] = field(default_factory=dict, repr=False)
     found: dict[str, SpliceTrains] = field(default_factory=dict, repr=False)
     made: dict[str, Asked] = field(default_factory=dict, repr=False)
+    known: tuple[Active, ...] = ()
     tracker: TrackerChannel | None = field(default=None, repr=False)
     name: str = "force"
     unit: str = "N"
@@ -243,7 +245,8 @@ class ForceChannel:
     def predict(self, sealed: ForceLog, active: tuple[Active, ...]) -> Sealed:
         """Baseline and corrected normal reading (n, 1) N of conditions nobody has seen, one sigma of the corrected one."""
         after = self.fitted_with(active)
-        return predict_sealed_force((self.baseline.problem, self.baseline.fit), (after.problem, after.fit), self.asked(sealed))
+        before, asked = (self.baseline.problem, self.baseline.fit), self.asked(sealed)
+        return predict_sealed_force(before, (after.problem, after.fit), asked, self.known)
 
     def asked(self, sealed: ForceLog) -> Asked:
         """Conditions made ready, once for all that asks of them. Raises BadInput: points off the blade."""

@@ -6,10 +6,12 @@ effects and one without have unknowns of their own. Nobody has seen: the believe
 effects, with one sigma.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from ocp.calibrate.force.assessment import without_rows
 from ocp.calibrate.force.log import ForceLog
@@ -17,10 +19,10 @@ from ocp.calibrate.force.model import ForceRows
 from ocp.calibrate.force.noise import ReadingNoise
 from ocp.calibrate.force.rows import log_conditions, prepare_force
 from ocp.diagnose.engine.channel_system import Fold, HeldOut, Predictable, Sealed, is_outlier, predictable
-from ocp.diagnose.force.fit import EffectFit, ForceProblem, fit_effects, linear_normal
+from ocp.diagnose.force.fit import EffectFit, ForceProblem, fit_effects, linear_normal, units_of
 from ocp.diagnose.force.prediction import LogScene, Predicted, predict_forces
 from ocp.diagnose.rules import FOLD_PARTS, FOLD_PIECE, FOLD_REST, FOLD_ROWS, RUN_SD
-from ocp.effects.effect import Effect
+from ocp.effects.effect import Active, Effect, coefficients, prior_sds, with_coefficients
 from robots.pose import Array, Index, Mask
 
 Fitted = tuple[ForceProblem, EffectFit]
@@ -141,27 +143,46 @@ class Asked:
         return self.there.conditions.given.issuperset(effect.needs)
 
 
-def predict_sealed_force(before: tuple[ForceProblem, EffectFit], after: tuple[ForceProblem, EffectFit], asked: Asked) -> Sealed:
+def predict_sealed_force(before: Fitted, after: Fitted, asked: Asked, known: Sequence[Active] = ()) -> Sealed:
     """Normal readings (n, 1) N of conditions without and with effects, what the sensor adds in, and one sigma of the noise-free
-    value of the latter.
+    value of the latter; known: effects at sizes that other signals show too.
 
     Effects for which they lack a column are left out of the correction and counted in sigma, as they were in the log.
     The wheel's law was fitted again to cover both logs, and the contact is refitted to the first on it.
     """
     problem, scene, there = after[0], after[0].scene, asked.there
 
-    def told(own: ForceProblem, fit: EffectFit) -> tuple[EffectFit, Predicted]:
+    def told(own: ForceProblem, fit: EffectFit, known: Sequence[Active]) -> tuple[EffectFit, Array, Predicted]:
         measured = replace(own, scene=replace(own.scene, model=there.model, rows=asked.measured))
         again = fit_effects(measured, fit.active, fit)
-        return again, predict_forces(there, again.at.x, predictable(again.active, asked.says).known)
+        x, active, covariance = at_known_sizes(own, again, known)
+        again = replace(again, at=replace(again.at, x=x, active=active))
+        return again, covariance, predict_forces(there, x, predictable(active, asked.says).known)
 
-    bare = told(*before)
-    fit, corrected = bare if after[1] is before[1] else told(*after)
+    bare = told(*before, ())
+    fit, covariance, corrected = bare if after[1] is before[1] else told(*after, known)
     parted = predictable(fit.active, asked.says)
     setpoint = scene.cell.flange.setpoint if scene.cell.flange is not None else 0.0
     more = _changed(problem.log, asked.sealed, setpoint) + _unshown(scene, fit, parted)
-    sigma = _sigma(problem, there, fit, corrected, parted.kept, more)
-    return Sealed(bare[1].fn[:, None], corrected.fn[:, None], sigma[:, None], parted.lacking)
+    sigma = _sigma(problem, there, covariance, corrected, parted.kept, more)
+    return Sealed(bare[2].fn[:, None], corrected.fn[:, None], sigma[:, None], parted.lacking)
+
+
+def at_known_sizes(problem: ForceProblem, fit: EffectFit, known: Sequence[Active]) -> tuple[Array, tuple[Active, ...], Array]:
+    """A fit's x, its effects and the covariance (k, k) of its unknowns with known effects at their sizes, as sure as those are;
+    all else follows by the fit's own covariance."""
+    (r, o), told, scale = problem.sizes, {a.key: a for a in known}, prior_sds(fit.active)
+    better = tuple(told.get(a.key, a) for a in fit.active)
+    there = r + o + np.flatnonzero(np.repeat([a.key in told for a in better], [len(a.a) for a in better]))
+    covariance, off = np.asarray(np.linalg.inv(fit.information), float), units_of(better) - units_of(fit.active)
+    if not len(there):
+        return fit.at.x, fit.active, covariance
+    sure = block_diag(*(a.covariance for a in better)) / np.outer(scale, scale)
+    follows = np.linalg.solve(covariance[np.ix_(there, there)], covariance[there]).T
+    moved = follows @ off[there - r - o]
+    wider = sure[np.ix_(there - r - o, there - r - o)] - covariance[np.ix_(there, there)]
+    active = with_coefficients(better, coefficients(fit.active) + scale * moved[r + o :])
+    return fit.at.x + problem.believed.root @ moved[:r], active, covariance + follows @ wider @ follows.T
 
 
 def _unshown(scene: LogScene, fit: EffectFit, parted: Predictable) -> float:
@@ -172,14 +193,13 @@ def _unshown(scene: LogScene, fit: EffectFit, parted: Predictable) -> float:
     return float(np.mean((ends[1] - ends[0])[scene.rows.contact] ** 2))
 
 
-def _sigma(problem: ForceProblem, there: LogScene, fit: EffectFit, at: Predicted, shown: Index, more: float) -> Array:
+def _sigma(problem: ForceProblem, there: LogScene, covariance: Array, at: Predicted, shown: Index, more: float) -> Array:
     """One sigma (n,) N: unknowns of the fit, of its effects' coefficients those `shown`, what runs differ by, and `more` N^2 of
     what else is not known."""
     r, o = problem.sizes
     J = linear_normal(problem, there, at)
     keep = np.r_[np.arange(r), r + o + shown]
-    covariance = np.linalg.inv(fit.information)[np.ix_(keep, keep)]
-    variance = np.sum(J @ covariance * J, axis=1) + (RUN_SD**2 + more) * there.rows.contact
+    variance = np.sum(J @ covariance[np.ix_(keep, keep)] * J, axis=1) + (RUN_SD**2 + more) * there.rows.contact
     return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
 
 

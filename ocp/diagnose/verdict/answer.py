@@ -1,6 +1,6 @@
 """The whole answer to a data set, as the command writes it and the report shows it."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -128,6 +128,12 @@ class Answer:
         """By signal, as the corrected cell has them."""
         patched = {} if self.patch is None else {self.patch.channel.name: self.patch.channel}
         return {c.name: c for c in self.fitted} | patched
+
+
+def known_beside(signal: str, channels: Iterable[Channel], written: Sequence[Active]) -> tuple[Active, ...]:
+    """Of what is written what other signals than this show too: one alone leaves its size open."""
+    others = {a.key for c in channels if c.name != signal for a in c.active}
+    return tuple(a for a in written if a.key in others)
 
 
 def promised(diagnosis: Diagnosis, gaps: Sequence[SignalGap]) -> tuple[Active, ...]:
