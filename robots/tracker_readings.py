@@ -33,6 +33,7 @@ WORDS = ("target", "payload", "session", "station")
 SINGLE = ("time_s", "temperature_C", "load_link", "sigma_um", "sigma_rot_deg")
 OPTIONAL = (*POINT, *WORDS, *APPROACH, *LOAD, *PLACE, *TURN, *QUATERNION, *SINGLE)
 WARMEST = 55.0  # deg C that arms are made for; a hall at 68 to 77 is one in degrees Fahrenheit
+LONGEST = 3600.0  # s between most readings; a robot that moves and settles takes some twenty, which in milliseconds are hours
 LEAST_OF_STRATUM = 30  # readings of a station, nest and payload that thinning leaves
 REPEAT_TOLERANCE = np.radians(1e-4)
 RESTARTS = 3  # times that a clock begins anew in a session; rows sorted by something else fall back far oftener
@@ -200,9 +201,7 @@ def read_readings(
     came = _last_motions(table)
     if not sealed:
         table = _without_copies(_without_gaps(table, notices), notices, 1e3 * instrument.range_noise)
-    if not sealed and not (np.abs(table.stack(POINT)).max(axis=1) > 0).all():
-        row = int(np.argmin(np.abs(table.stack(POINT)).max(axis=1) > 0))
-        raise BadInput(f"{table.path}, line {table.line[row]}: the reading is 0, 0, 0, the tracker itself; remove the row")
+        _refuse_zeros(table)
     n = len(table)
     measured = all(c in table.numbers for c in POINT)
     nests = instrument.nests or {}
@@ -241,6 +240,12 @@ def read_readings(
         line=np.array(table.line),
         notices=tuple(notices),
     )
+
+
+def _refuse_zeros(table: CsvTable) -> None:
+    """Raises BadInput at the first reading of 0, 0, 0."""
+    for row in np.flatnonzero(~table.stack(POINT).any(axis=1))[:1]:
+        raise BadInput(f"{table.path}, line {table.line[row]}: the reading is 0, 0, 0, the tracker itself; remove the row")
 
 
 def last_motions(time: Array, motions: Array, session: NDArray[np.generic]) -> tuple[Array, Array]:
@@ -287,6 +292,10 @@ def _notices(table: CsvTable, payloads: dict[str, Hanging]) -> list[str]:
             f"{name}: temperature_C is above {WARMEST:g} in most rows, warmer than arms are made for; if these are degrees "
             "Fahrenheit, convert them"
         )
+    apart = np.diff(np.sort(table.numbers.get("time_s", np.zeros(2))))
+    if len(apart) and np.median(apart) > LONGEST:
+        hours = np.median(apart) / 3600
+        found.append(f"{name}: readings are {hours:.1f} h apart in the median; if time_s is in milliseconds, divide it by 1000")
     if "payload" not in table.words and len(payloads) > 1:
         found.append(f"{name}: no column payload: '{next(iter(payloads))}' is taken to hang on the flange throughout")
     return found
