@@ -11,6 +11,7 @@ from scipy.integrate import quad
 
 from ocp.contact.wheel.cover import WheelGeometry, build_cover
 from ocp.contact.wheel.signorini import LocalShape, solve_force
+from ocp.plan.passes.coarse import SPACING, coarse_grid, restricted
 from ocp.plan.passes.course import Engagement, air_to_air, entry_of, lengthened, path_at, rise, steady
 from ocp.plan.passes.optimise import LEAST_DIRECT
 from ocp.plan.passes.problem import PassProblem, air_to_air_problem, lead_room
@@ -316,6 +317,21 @@ def test_lean_is_how_uneven_a_tilt_makes_the_pressure(patches, off):
         assert problem.lean[full, axis] * 0.01 == pytest.approx(np.full(full.sum(), uneven(patches, 0.01, axis)), rel=off)
     assert problem.lean == pytest.approx(np.outer(problem.course.share, problem.lean[full][0]))  # none in the air
     assert problem.course.s[0] == pytest.approx(-0.06 / 39) and problem.depth.shape == 2 * (len(problem.course.at) - 22,)
+
+
+def test_on_a_coarse_grid_a_way_keeps_its_edges_and_what_is_taken_off():
+    problem = leaning(ellipsoid())
+    way, kept = problem.way, coarse_grid(problem.way)
+    few = restricted(problem, kept)
+    for time in way.edges:
+        assert np.abs(few.way.at - time).min() < 1e-9 and len(few.way.edges) == 6
+    full = few.way.s[few.way.grinding > 0]
+    assert 0.9 * SPACING < np.diff(full)[:-1].mean() <= SPACING and len(kept) < 0.45 * len(way.at)
+    assert few.path.p == pytest.approx(problem.path.p[kept]) and few.lean == pytest.approx(problem.lean[kept])
+    on, inside = way.touching, few.way.touching
+    r = 1.0 + 5.0 * few.way.s[inside]  # linear in between
+    taken = problem.depth @ np.interp(way.s[on], few.way.s[inside], r)
+    assert few.depth @ r == pytest.approx(taken[np.isin(np.arange(len(way.at))[on], kept)], rel=1e-12)
 
 
 @pytest.mark.parametrize(("k_bb", "share"), [(0.0, 1.0), (16.0, 0.5)])

@@ -14,6 +14,7 @@ from ocp.model.prepare import wheel_cover
 from ocp.model.theta import Theta, believed_theta
 from ocp.plan.clearance import CollisionScene
 from ocp.plan.passes import posture
+from ocp.plan.passes.coarse import start_on_coarse_grid
 from ocp.plan.passes.course import steady
 from ocp.plan.passes.optimise import STATION_SPACING, Ground, PassWorker, solve_directly
 from ocp.plan.passes.posture import find_seeds
@@ -156,6 +157,20 @@ def test_the_solution_does_not_depend_on_padding():
     exact._programs = {(64, False): transcribe(solver.stage, 40, False)}
     b = exact.solve(problem)
     assert a.q == pytest.approx(b.q, abs=1e-4)  # where the freedoms are held by their boxes the optimum is flat
+
+
+def test_begun_on_a_coarse_grid_a_pass_ends_where_one_from_its_seed_does():
+    _, solver, problem = ready(bar_pass(n=120))
+    plain, start = solver.solve(problem), start_on_coarse_grid(solver, problem)
+    found = solver.solve(problem, start)
+    assert found.iterations < 0.7 * plain.iterations
+    assert np.abs(found.q - plain.q).max() < 2e-4 and found.objective < plain.objective + 1e-4
+    # On few nodes nothing is gained; where they have no solution the seed is the start.
+    assert start_on_coarse_grid(solver, ready(bar_pass(n=7))[2]) is None
+    process = replace(solver.cell.process, turn_tolerance=0.0, tilt_tolerance=0.0, lateral_tolerance=0.0)
+    narrow = copy(solver)
+    narrow.cell = replace(solver.cell, process=process)
+    assert start_on_coarse_grid(narrow, replace(problem, indentation_correction=np.full(120, 1.0))) is None
 
 
 def test_a_force_programmed_per_waypoint_is_met():

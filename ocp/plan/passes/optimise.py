@@ -7,7 +7,7 @@ the blade are checked at every waypoint. A seed that fails gives way to the next
 
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -21,9 +21,10 @@ from ocp.model.blade_gap import SurfaceCloud, contact_stations, solved_where_nee
 from ocp.model.cell import Cell
 from ocp.model.theta import Theta
 from ocp.plan.clearance import CollisionScene, SecondaryContact, find_secondary_contact, wheel_room
+from ocp.plan.passes.coarse import start_on_coarse_grid
 from ocp.plan.passes.course import entry_of
 from ocp.plan.passes.posture import Seed, driven, find_seeds
-from ocp.plan.passes.problem import PassProblem, air_to_air_problem, lead_room, with_direction
+from ocp.plan.passes.problem import PassProblem, air_to_air_problem, at_rows, lead_room, with_direction
 from ocp.plan.passes.solve import Evaluation, PassSolution, PassSolver
 from ocp.plan.passes.stage import ObjectiveWeights
 from ocp.plan.passes.stretches import NO_ROOM, CannotGrind, LeftOut, LineStretch, cut_out, joined
@@ -177,16 +178,8 @@ class SolvedPass:
 
     def part(self, keep: NDArray[np.bool_]) -> "SolvedPass":
         """Some of the nodes (n,) alone, all arrays cut to them."""
-        n = len(keep)
-
-        def cut(thing: Any) -> Any:
-            arrays = {f.name: getattr(thing, f.name) for f in fields(thing)}
-            return replace(
-                thing, **{k: v[keep] for k, v in arrays.items() if isinstance(v, np.ndarray) and len(v) == n and k != "edges"}
-            )
-
-        problem = replace(cut(self.problem), path=cut(self.problem.path), course=cut(self.problem.way), depth=None)
-        return SolvedPass(problem, cut(self.solution), cut(self.evaluation))
+        solution, evaluation = (at_rows(one, keep, len(keep)) for one in (self.solution, self.evaluation))
+        return SolvedPass(self.problem.at_nodes(keep), solution, evaluation)
 
 
 @dataclass(frozen=True)
@@ -296,8 +289,8 @@ class PassWorker:
         return air_to_air_problem(line, driven.entry, driven.patches, driven.missed, step, driven.room if led else (0.0, 0.0))
 
     def _solve(self, problem: PassProblem) -> SolvedPass:
-        start: PassSolution | None = None
         problem = self.solver.with_approach(problem)
+        start = start_on_coarse_grid(self.solver, problem)
         for _ in range(CORRECTIONS):
             solution = self.solver.solve(problem, start)
             solved = self.solver.evaluate(problem, solution.q, solution.force)

@@ -1,9 +1,10 @@
 """A pass as the optimiser takes it: nodes with all they know, in the direction of travel."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from ocp.effects.engine.symbolic import CONDITIONS
@@ -49,6 +50,12 @@ class PassProblem:
         clearances[..., 6] = -1.0
         return PassProblem(path, seed, compliance, np.zeros(n), clearances, course=steady(path))
 
+    def at_nodes(self, kept: NDArray[Any]) -> "PassProblem":
+        """The problem at some of its n nodes alone, a mask (n,) or indices (k,); its removal is not known there."""
+        n = len(self.path.s)
+        path, course, own = (at_rows(one, kept, n) for one in (self.path, self.way, self))
+        return replace(own, path=path, course=course, depth=None)
+
     @property
     def waypoints(self) -> Array:
         """Columns `ocp.model.force_balance.WAYPOINT`, (n, 16)."""
@@ -84,6 +91,13 @@ class PassProblem:
     def way(self) -> PassCourse:
         """The course over the line: `course`, or the pass alone at its programmed feed."""
         return self.course or steady(self.path)
+
+
+def at_rows(thing: Any, kept: NDArray[Any], n: int) -> Any:
+    """A dataclass whose arrays of n rows, one a node, are cut to those kept; the edges of a way are no nodes."""
+    arrays = {f.name: getattr(thing, f.name) for f in fields(thing)}
+    cut = {k: v[kept] for k, v in arrays.items() if isinstance(v, np.ndarray) and len(v) == n and k != "edges"}
+    return replace(thing, **cut)
 
 
 def air_to_air_problem(

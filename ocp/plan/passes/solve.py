@@ -73,7 +73,7 @@ REMEDIES = (
 @dataclass(frozen=True)
 class PassSolution:
     """Joints (n, 6), rate of the path parameter (n,), force over feed (n,), each over its nominal one, and force (n,) N of a
-    pass, how Ipopt got there, and its multipliers for a start close by."""
+    pass, how Ipopt got there, and its multipliers at the nodes, of bounds (n, N_Z) and of rows, for a start close by."""
 
     q: Array
     rate: Array
@@ -175,7 +175,8 @@ class PassSolver:
 
     def program(self, n: int, full: bool = False) -> Transcription:
         """The nonlinear program for n waypoints, padded."""
-        key = (-(-n // PAD) * PAD, full)
+        pad = PAD if n > 2 * PAD else PAD // 2
+        key = (-(-n // pad) * pad, full)
         if key not in self._programs:
             self._programs[key] = transcribe(self.stage, *key)
         return self._programs[key]
@@ -188,7 +189,7 @@ class PassSolver:
         try:
             solution = self._solve(problem, start, full=False)
         except CannotGrind:
-            if start is None:
+            if start is None or start.multipliers is None:
                 raise
             # Multipliers of a problem that is not so close after all lead astray.
             solution = self._solve(problem, replace(start, multipliers=None), full=False)
@@ -242,9 +243,9 @@ class PassSolver:
         x0 = np.clip(x0.ravel(), lbx, ubx)
         data = {"x0": x0, "lbx": lbx, "ubx": ubx, "lbg": lbg, "ubg": ubg, "p": p}
         solver = program.solver
-        if start is not None and start.multipliers is not None and len(start.multipliers[1]) == len(lbg):
-            solver = program.again
-            data |= {"lam_x0": start.multipliers[0], "lam_g0": start.multipliers[1]}
+        if start is not None and start.multipliers is not None and not full:
+            solver, beyond = program.again, ((0, program.n - n), (0, 0))
+            data |= {k: np.pad(v, beyond).ravel() for k, v in zip(("lam_x0", "lam_g0"), start.multipliers, strict=True)}
         result = solver(**data)
         stats = solver.stats()
         x = np.asarray(result["x"]).reshape(program.n, N_Z)[:n]
@@ -255,7 +256,8 @@ class PassSolver:
         solved = stats["success"] or there or stats["return_status"] == "Maximum_Iterations_Exceeded"
         if not (solved and np.isfinite(x).all()):
             raise Infeasible(f"line {path.line} ({path.side}): the optimiser stopped with {stats['return_status']}")
-        multipliers = np.asarray(result["lam_x"]).ravel(), np.asarray(result["lam_g"]).ravel()
+        found = [np.asarray(result[name]).reshape(program.n, -1)[:n] for name in ("lam_x", "lam_g")]
+        multipliers = None if full else (found[0], found[1])
         force = self.nominal_force(problem) * x[:, 6] * x[:, 7]
         return PassSolution(x[:, :6], x[:, 6], x[:, 7], force, int(stats["iter_count"]), float(result["f"]), multipliers)
 
