@@ -33,6 +33,7 @@ from ocp.plan.passes.stretches import (
 )
 from ocp.plan.planning import left_out_too, softer_notices
 from ocp.plan.readback import force_error
+from ocp.plan.removal.footprint import CELL, LinePatches
 from ocp.plan.rules import FLANGE_FORCE_TOLERANCE, LEAST_STRETCH, SEED_INDENTATION, STRETCH_ROOM
 from ocp.plan.second_route import VerifiedPass
 from robots.errors import Infeasible
@@ -385,7 +386,25 @@ def test_no_solved_pass_leaves_the_worker_without_room_beside_the_platform(monke
 def test_where_the_wheel_hangs_over_the_line_it_is_left_out(monkeypatch):
     """Beside a block a wide wheel bears on what lies beyond the contact's reach: pressed in by less than nothing on the line."""
     path = line()
-    patches = SimpleNamespace(at=path.s[[0, 20, -1]], indentation=np.array([-3e-3, 1e-4, 3e-4]))
+    indentation = np.array([-3e-3, 1e-4, 3e-4])
+    bad = beside_the_line(monkeypatch, path, SimpleNamespace(at=path.s[[0, 20, -1]], indentation=indentation, hollow=NOWHERE))
+    assert bad[:19].all() and not bad[20:].any()
+
+
+def test_where_the_wheel_bears_to_both_sides_of_a_hollow_line_it_is_left_out(monkeypatch):
+    """What presses there says nothing of the depth on the line: its profile over its own integral is not a number."""
+    path, x, share = line(), CELL * np.arange(-5, 6), np.ones((3, 11, 11))
+    share[0, :, 3:8] = 0.0
+    patches = LinePatches(path.s[[0, 20, -1]], x, share, np.full(3, 20.0), np.full(3, 1e-4))
+    bad = beside_the_line(monkeypatch, path, patches)
+    assert bad[:10].all() and not bad[11:].any()
+
+
+NOWHERE = np.zeros(3, bool)
+
+
+def beside_the_line(monkeypatch, path, patches):
+    """The waypoints (n,) of a path that are left out under these footprints because the wheel bears beside them."""
     monkeypatch.setattr("ocp.plan.passes.optimise.contacts_along", lambda *_, **__: patches)
     seen = SimpleNamespace(stiffness=np.full(len(path.s), 5e3), parts=np.zeros((len(path.s), 4)))
     worker = object.__new__(PassWorker)
@@ -394,8 +413,7 @@ def test_where_the_wheel_hangs_over_the_line_it_is_left_out(monkeypatch):
     monkeypatch.setattr("ocp.plan.passes.optimise.entry_of", lambda *_: None)
     with pytest.raises(CannotGrind, match="bears beside the line") as told:
         worker._driven(SimpleNamespace(path=path))
-    bad = told.value.nodes(path.s)
-    assert bad[:19].all() and not bad[20:].any()
+    return told.value.nodes(path.s)
 
 
 # -- what does not read back ---------------------------------------------------------------------------------------

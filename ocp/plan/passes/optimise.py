@@ -277,7 +277,8 @@ class PassWorker:
             reason = "the wheel bears nowhere on it"
             raise CannotGrind.of(path, np.ones(len(path.s), bool), reason, "use a narrower wheel or larger margins")
         beside = np.interp(path.s, patches.at, patches.indentation) <= 0.0
-        if beside.any():  # what bears is beyond the reach of the contact, and the wheel hangs over the line
+        beside |= patches.hollow[np.abs(path.s[:, None] - patches.at).argmin(axis=1)]
+        if beside.any():  # what bears is beyond the reach of the contact, and the wheel hangs over the line; or on both sides
             reason, remedy = "the wheel bears beside the line, not on it", "use a smaller or narrower wheel, or larger margins"
             raise CannotGrind.of(path, beside, reason, remedy, int(np.argmax(beside)))
         missed = patches.indentation - np.interp(patches.at, path.s, seen.parts[:, 1])

@@ -89,6 +89,12 @@ class LinePatches:
         pressed = cells * (self.x[1] - self.x[0])
         return np.asarray(np.minimum(np.sqrt(MOMENT_TO_AXIS * (marginal @ self.x**2 - mean**2)), 0.5 * pressed))
 
+    @property
+    def hollow(self) -> NDArray[np.bool_]:
+        """At which stations (k,) nothing presses on the line itself: over a hollow the wheel bears to both sides of it."""
+        middle = self.share[:, :, len(self.x) // 2].sum(axis=1)
+        return np.asarray(middle <= PRESSED * self.share.sum(axis=1).max(axis=1))
+
     def unevenness(self, spacing: float) -> Array:
         """Half the range of the depth (k,) over its mean, across lines `spacing` m apart that are ground alike."""
         lines = np.arange(-int(2 * self.x[-1] / spacing) - 1, int(2 * self.x[-1] / spacing) + 2)
