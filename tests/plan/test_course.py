@@ -12,9 +12,10 @@ from scipy.integrate import quad
 from ocp.contact.wheel.cover import WheelGeometry, build_cover
 from ocp.contact.wheel.signorini import LocalShape, solve_force
 from ocp.plan.passes.coarse import SPACING, coarse_grid, restricted
-from ocp.plan.passes.course import Engagement, air_to_air, entry_of, lengthened, path_at, rise, steady
+from ocp.plan.passes.course import LEAST_PEAK, Engagement, air_to_air, entry_of, lengthened, path_at, rise, steady
 from ocp.plan.passes.optimise import LEAST_DIRECT
 from ocp.plan.passes.problem import PassProblem, air_to_air_problem, lead_room
+from ocp.plan.passes.stretches import CannotGrind
 from ocp.plan.removal.footprint import CELL, LinePatches, line_patches
 from ocp.plan.rules import APPROACH_SPEED, CARRIED_FORCE, CREEP, LEAST_RAMP, LIFT_OFF, TOUCH_SPEED
 from robots.errors import Infeasible
@@ -174,12 +175,18 @@ def test_short_lines_are_pressed_less_and_still_shorter_ones_are_refused():
     assert courses[0].edges[-1] == pytest.approx(
         2 * (0.76 + 0.3) + (0.06 - 2 * feed * 0.3 * rise(np.array(1.0), entry.slope, -1)) / feed
     )
-    with pytest.raises(Infeasible, match=r"line 1 \(convex\): 3\.0 mm are too short to engage and to lift off"):
-        air_to_air(bar_pass(length=0.003), entry, STEP)
-    with pytest.raises(Infeasible, match=r"10\.0 mm are too short"):  # what is driven fast needs more of a line
-        air_to_air(bar_pass(length=0.01, feed=0.15), entry, STEP)
-    with pytest.raises(Infeasible, match=r"10\.0 mm are too short"):  # and so does what is seen coarsely
-        air_to_air(bar_pass(length=0.01), entry, 4 * STEP)
+    # What is driven fast needs more of a line, and so does what is seen coarsely; what would do is told, and does.
+    slow, coarse = "lower the feed there to ", "use a --step of at most "
+    for length, feed, step, told in ((0.003, 0.04, STEP, slow), (0.01, 0.15, STEP, slow), (0.01, 0.04, 4 * STEP, coarse)):
+        path = bar_pass(length=length, feed=feed)
+        with pytest.raises(CannotGrind) as error:
+            air_to_air(path, entry, step)
+        words = f"line 1 (convex): {1e3 * length:.1f} mm are too short to engage and to lift off at {1e3 * feed:g} mm/s; {told}"
+        assert str(error.value).startswith(words)
+        assert error.value.nodes(path.s).all()  # no piece of it is longer
+        number = 1e-3 * float(error.value.would_do.removeprefix(told).split()[0])
+        eased = (bar_pass(length=length, feed=number), step) if told == slow else (path, number / feed)
+        assert air_to_air(eased[0], entry, eased[1]).peak > LEAST_PEAK
 
 
 def test_every_pass_that_is_accepted_has_contacts_that_are_solved_directly():

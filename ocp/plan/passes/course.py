@@ -6,6 +6,7 @@ force and feed grow from zero together (docs/process.md).
 """
 
 from dataclasses import dataclass, fields, replace
+from math import floor
 from typing import Any
 
 import numpy as np
@@ -13,8 +14,8 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
 from ocp.model.cell import Cell
+from ocp.plan.passes.stretches import CannotGrind
 from ocp.plan.rules import APPROACH_SPEED, CARRIED_FORCE, CREEP, LEAST_RAMP, LIFT_OFF, TOUCH_SPEED
-from robots.errors import Infeasible
 from robots.pose import Array
 from trajectories.passes import BladePath
 
@@ -127,7 +128,7 @@ def steady(path: BladePath) -> PassCourse:
 def air_to_air(path: BladePath, entry: Engagement, step: float) -> PassCourse:
     """The whole way of a line; nodes in the pass about `step` s apart, closer where blade and wheel meet.
 
-    Raises Infeasible where the line is so short that no node stands between its ramps, or the force hardly rises.
+    Raises CannotGrind where the line is so short that no node stands between its ramps, or the force hardly rises.
     """
     length = np.diff(path.s) / (0.5 * (path.feed[1:] + path.feed[:-1]))
     driven = np.concatenate([[0.0], np.cumsum(length)])  # s at the programmed feed
@@ -135,7 +136,7 @@ def air_to_air(path: BladePath, entry: Engagement, step: float) -> PassCourse:
     peak = peak_share(float(driven[-1]), ramp_way)
     full = (driven[-1] - 2.0 * peak * ramp_way) / peak
     if full < 2.0 * step or peak < LEAST_PEAK:
-        raise Infeasible(f"line {path.line} ({path.side}): {path.s[-1] * 1e3:.1f} mm are too short to engage and to lift off")
+        raise _too_short(path, full, peak)
     edges = np.cumsum([0.0, entry.approach, entry.ramp, full, entry.ramp, entry.approach])
     out = np.linspace(0.0, 1.0, AIR_NODES + 1)
     up = np.linspace(0.0, 1.0, RAMP_NODES + 1)
@@ -159,6 +160,18 @@ def air_to_air(path: BladePath, entry: Engagement, step: float) -> PassCourse:
     course = PassCourse(at, s, blank, blank, blank, ((at > edges[2] - 1e-9) & (at < edges[3] + 1e-9)) * 1.0, edges, peak, entry)
     share = course.share_at(at)
     return replace(course, share=share, speed=share * np.interp(s, path.s, path.feed), gap=course.gap_at(at))
+
+
+def _too_short(path: BladePath, full: float, peak: float) -> CannotGrind:
+    """Of a line whose force rises to `peak` of what it should and stays there for `full` s: any piece of it is shorter still."""
+    feed = float(path.feed.mean())
+    reason = f"{path.s[-1] * 1e3:.1f} mm are too short to engage and to lift off at {1e3 * feed:.3g} mm/s"
+    if peak < LEAST_PEAK:
+        would_do = f"lower the feed there to {0.99e3 * feed * peak / LEAST_PEAK:.3g} mm/s or less, or make the line longer"
+    else:
+        would_do = f"use a --step of at most {floor(1e5 * full / 2.0 * feed) / 100:g} mm, or make the line longer"
+    told = f"line {path.line} ({path.side}): {reason}; {would_do}"
+    return CannotGrind.of(path, np.ones(len(path.s), bool), reason, would_do, 0, told)
 
 
 def peak_share(seconds: float, ramp: float) -> float:
