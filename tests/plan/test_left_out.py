@@ -371,7 +371,7 @@ def test_no_solved_pass_leaves_the_worker_without_room_beside_the_platform(monke
     seen = SimpleNamespace(T_base_blade=np.tile(np.eye(4), (n, 1, 1)), **zero)
     problem = SimpleNamespace(path=path, indentation_correction=np.zeros(n), approach=None)
     solution = SimpleNamespace(q=np.zeros((n, 6)), force=np.ones(n))
-    for name, result in (("solve_directly", np.zeros(n)), ("refuse_unsound", None)):
+    for name, result in (("start_on_coarse_grid", None), ("solve_directly", np.zeros(n)), ("refuse_unsound", None)):
         monkeypatch.setattr(f"ocp.plan.passes.optimise.{name}", lambda *_, result=result: result)
     monkeypatch.setattr(PassWorker, "_with_clearances", lambda self, problem, q: None)
     worker = object.__new__(PassWorker)

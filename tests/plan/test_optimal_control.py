@@ -167,10 +167,8 @@ def test_begun_on_a_coarse_grid_a_pass_ends_where_one_from_its_seed_does():
     assert np.abs(found.q - plain.q).max() < 2e-4 and found.objective < plain.objective + 1e-4
     # On few nodes nothing is gained; where they have no solution the seed is the start.
     assert start_on_coarse_grid(solver, ready(bar_pass(n=7))[2]) is None
-    process = replace(solver.cell.process, turn_tolerance=0.0, tilt_tolerance=0.0, lateral_tolerance=0.0)
-    narrow = copy(solver)
-    narrow.cell = replace(solver.cell, process=process)
-    assert start_on_coarse_grid(narrow, replace(problem, indentation_correction=np.full(120, 1.0))) is None
+    problem.clearances[:, 0] = [1.0, 0, 0, 0, 0, 0, 3.0]  # axis 1 above 3 rad: impossible
+    assert start_on_coarse_grid(solver, problem) is None
 
 
 def test_a_force_programmed_per_waypoint_is_met():
