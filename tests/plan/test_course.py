@@ -11,10 +11,12 @@ from scipy.integrate import quad
 
 from ocp.contact.wheel.cover import WheelGeometry, build_cover
 from ocp.contact.wheel.signorini import LocalShape, solve_force
-from ocp.plan.passes.coarse import SPACING, coarse_grid, restricted
+from ocp.plan.passes.coarse import SPACING, coarse_grid, prolonged, restricted
 from ocp.plan.passes.course import LEAST_PEAK, Engagement, air_to_air, entry_of, lengthened, path_at, rise, steady
 from ocp.plan.passes.optimise import LEAST_DIRECT
 from ocp.plan.passes.problem import PassProblem, air_to_air_problem, lead_room
+from ocp.plan.passes.smoothness import node_times
+from ocp.plan.passes.solve import PassSolution
 from ocp.plan.passes.stretches import CannotGrind
 from ocp.plan.removal.footprint import CELL, LinePatches, line_patches
 from ocp.plan.rules import APPROACH_SPEED, CARRIED_FORCE, CREEP, LEAST_RAMP, LIFT_OFF, TOUCH_SPEED
@@ -324,6 +326,16 @@ def test_lean_is_how_uneven_a_tilt_makes_the_pressure(patches, off):
         assert problem.lean[full, axis] * 0.01 == pytest.approx(np.full(full.sum(), uneven(patches, 0.01, axis)), rel=off)
     assert problem.lean == pytest.approx(np.outer(problem.course.share, problem.lean[full][0]))  # none in the air
     assert problem.course.s[0] == pytest.approx(-0.06 / 39) and problem.depth.shape == 2 * (len(problem.course.at) - 22,)
+
+
+def test_multipliers_go_over_to_the_whole_grid_as_densities():
+    way = leaning(ellipsoid()).way
+    few = restricted(leaning(ellipsoid()), coarse_grid(way)).way
+    known, whole = (np.outer(1.0 + 3.0 * one.at, [1.0, -2.0]) * node_times(one)[:, None] for one in (few, way))
+    q, even = np.zeros((len(few.at), 6)), np.ones(len(few.at))
+    start = prolonged(PassSolution(q, 0.5 * even, 1.0 + few.at, even, 7, 0.0, (known, known)), few, way)
+    assert np.stack(start.multipliers) == pytest.approx(np.stack([whole, whole]), rel=1e-12)
+    assert (start.rate == 0.5).all() and start.ratio == pytest.approx(1.0 + way.at)
 
 
 def test_on_a_coarse_grid_a_way_keeps_its_edges_and_what_is_taken_off():

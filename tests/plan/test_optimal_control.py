@@ -164,7 +164,10 @@ def test_begun_on_a_coarse_grid_a_pass_ends_where_one_from_its_seed_does():
     plain, start = solver.solve(problem), start_on_coarse_grid(solver, problem)
     found = solver.solve(problem, start)
     assert found.iterations < 0.7 * plain.iterations
+    away = np.abs(solver.seed_joints(problem) - plain.q).max()
+    assert np.abs(start.q - plain.q).max() < 0.1 * away > 1e-3
     assert np.abs(found.q - plain.q).max() < 2e-4 and found.objective < plain.objective + 1e-4
+    assert len(ready(bar_pass(n=6))[2].at_nodes(np.arange(3)).way.edges) == 6
     # On few nodes nothing is gained; where they have no solution the seed is the start.
     assert start_on_coarse_grid(solver, ready(bar_pass(n=7))[2]) is None
     problem.clearances[:, 0] = [1.0, 0, 0, 0, 0, 0, 3.0]  # axis 1 above 3 rad: impossible
