@@ -139,7 +139,8 @@ def answer_of(folder: Path, phases: Phases, known: dict[str, Effect] | None = No
     notices = tuple(dict.fromkeys((*data.notices, *(n for n in told if not blinds(n)))))
     written, fitted = _at_rest(found, promised(found, gaps))
     with phases.phase("patch"):
-        unknown = unnamed(found, written)
+        if (unknown := unnamed(found, written)) is not None:
+            unknown = replace(unknown, after=_knowing((unknown.after,), found.channels, written)[0])
         named = next((g.shrinkage for g in gaps if written and unknown is not None and g.name == unknown.after.name), None)
         patch = None if unknown is None else patched(unknown, named, asked.get(unknown.after.name))
     return Answer(data, found, gaps, experiments, blind, notices, dict(phases.seconds), asked, written, fitted, unknown, patch)
@@ -148,20 +149,22 @@ def answer_of(folder: Path, phases: Phases, known: dict[str, Effect] | None = No
 def _at_rest(found: Diagnosis, written: tuple[Active, ...]) -> tuple[tuple[Active, ...], tuple[Channel, ...]]:
     """The effects that are to be written and the channels with them and no others; where no fit with them comes to rest none."""
     if effects_key(written) == effects_key(found.active):
-        return written, _knowing(found.channels, written)
+        return written, _knowing(found.channels, found.channels, written)
     with suppress(Infeasible):
-        return written, _knowing([c.with_active(written) if written else c for c in found.baseline], written)
+        fitted = tuple(c.with_active(written) if written else c for c in found.baseline)
+        return written, _knowing(fitted, fitted, written)
     return (), found.baseline
 
 
-def _knowing(channels: Sequence[Channel], written: tuple[Active, ...]) -> tuple[Channel, ...]:
-    """Channels that predict with effects at the sizes that are written, where they see those only in part."""
+def _knowing(some: tuple[Channel, ...], channels: Sequence[Channel], written: tuple[Active, ...]) -> tuple[Channel, ...]:
+    """Some of the channels, or such with patches, that predict with effects at the sizes that are written, where they see those
+    only in part."""
     if len({c.name for c in channels} - {"force"}) in (0, len(channels)):
-        return tuple(channels)
+        return some
     from ocp.diagnose.force.channel import ForceChannel  # blade and contact: only for those who measured force
 
     known = known_beside("force", channels, written)
-    return tuple(replace(c, known=known) if isinstance(c, ForceChannel) else c for c in channels)
+    return tuple(replace(c, known=known) if isinstance(c, ForceChannel) else c for c in some)
 
 
 def with_either_sign(known: dict[str, Effect], believed: Sequence[Active]) -> dict[str, Effect]:
@@ -190,12 +193,14 @@ def predict_sealed(answer: Answer) -> dict[str, Sealed]:
         least = 0.0 if signal == "tracker" else FOLLOWED_FORCE
         first, *others = seen_by(signal, told)
         followed = [one for one in gathered(others, least) if one.probability >= least]
-        made = [(first.probability, channel.predict(sealed, first.active)), *predictions(channel, sealed, followed)]
         # Both as they were fitted, each with the readings that it sets aside: the baseline, and the cell that is written.
         baseline, kept = (
             next(c for c in some if c.name == signal).predict(sealed, active)
             for some, active in ((answer.diagnosis.baseline, ()), (answer.fitted, answer.written))
         )
+        same = effects_key(first.active) == effects_key(answer.written)
+        likeliest = first.probability, kept if same else channel.predict(sealed, first.active)
+        made = [likeliest, *predictions(channel, sealed, followed)]
         written = replace(beside_others(kept, made), baseline=baseline.corrected)
         found[signal] = replace(written, named=made[0][1].corrected, beyond=told_beyond(answer.data, signal, sealed))
         if answer.unknown is not None and signal == answer.unknown.after.name:

@@ -17,6 +17,7 @@ from ocp.diagnose.dataset import read_data_set
 from ocp.diagnose.force.channel import ForceChannel, force_channel
 from ocp.diagnose.force.held_out import at_known_sizes
 from ocp.diagnose.force.prior import arm_with_effects, contact_prior
+from ocp.diagnose.verdict.answer import known_beside
 from ocp.diagnose.verdict.diagnosis import diagnose_channels
 from ocp.effects.catalogue import library
 from ocp.effects.effect import Active
@@ -123,6 +124,13 @@ def test_a_log_of_single_rows_is_refused_in_one_sentence(tmp_path):
         csv.writer(file).writerows([head, *([*row[:run], str(k), *row[run + 1 :]] for k, row in enumerate(rows[:300]))])
     with pytest.raises(BadInput, match="0 rows in contact follow another one of their recording; at least 20 are needed"):
         read_data_set(tmp_path)
+
+
+def test_known_beside_a_signal_is_what_others_show_too():
+    one, two, alone = (SimpleNamespace(key=(name, 0)) for name in ("one", "two", "alone"))
+    channels = [SimpleNamespace(name="tracker", active=(one, two)), SimpleNamespace(name="force", active=(one, alone))]
+    assert known_beside("force", channels, (one, alone)) == (one,)
+    assert known_beside("tracker", channels, (one, two, alone)) == (one, alone)
 
 
 def test_predicted_forces_take_the_sizes_that_are_written():

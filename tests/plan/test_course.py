@@ -179,16 +179,29 @@ def test_short_lines_are_pressed_less_and_still_shorter_ones_are_refused():
     )
     # What is driven fast needs more of a line, and so does what is seen coarsely; what would do is told, and does.
     slow, coarse = "lower the feed there to ", "use a --step of at most "
-    for length, feed, step, told in ((0.003, 0.04, STEP, slow), (0.01, 0.15, STEP, slow), (0.01, 0.04, 4 * STEP, coarse)):
+    for length, feed, step, ways in (
+        (0.003, 0.04, 0.5 * STEP, [slow]),
+        (0.01, 0.15, STEP, [slow]),
+        (0.01, 0.04, 4 * STEP, [coarse]),
+        (0.003, 0.04, 4 * STEP, [slow, coarse]),
+    ):
         path = bar_pass(length=length, feed=feed)
         with pytest.raises(CannotGrind) as error:
             air_to_air(path, entry, step)
-        words = f"line 1 (convex): {1e3 * length:.1f} mm are too short to engage and to lift off at {1e3 * feed:g} mm/s; {told}"
+        words = (
+            f"line 1 (convex): {1e3 * length:.1f} mm are too short to engage and to lift off at {1e3 * feed:g} mm/s; {ways[0]}"
+        )
         assert str(error.value).startswith(words)
         assert error.value.nodes(path.s).all()  # no piece of it is longer
-        number = 1e-3 * float(error.value.would_do.removeprefix(told).split()[0])
-        eased = (bar_pass(length=length, feed=number), step) if told == slow else (path, number / feed)
-        assert air_to_air(eased[0], entry, eased[1]).peak > LEAST_PEAK
+        told, would_do = {way: way in error.value.would_do for way in (slow, coarse)}, error.value.would_do
+        assert told == {way: way in ways for way in (slow, coarse)}
+        eased = 1e-3 * float(would_do.split(slow)[1].split()[0]) if told[slow] else feed
+        nearer = 1e-3 * float(would_do.split(coarse)[1].split()[0]) if told[coarse] else step * feed
+        assert air_to_air(bar_pass(length=length, feed=eased), entry, nearer / eased).peak > LEAST_PEAK
+    uneven = replace(bar_pass(length=0.01), feed=np.linspace(0.02, 0.08, 40))
+    with pytest.raises(CannotGrind) as error:  # where it is driven faster a piece of it would do
+        air_to_air(uneven, entry, 5 * STEP)
+    assert not error.value.nodes(uneven.s).any()
 
 
 def test_every_pass_that_is_accepted_has_contacts_that_are_solved_directly():

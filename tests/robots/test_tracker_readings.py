@@ -280,12 +280,12 @@ def test_a_temperature_in_kelvin_is_refused(tmp_path):
     warm = read(tmp_path, HEADER + ",temperature_C", ROW + ",61")
     assert warm.temperature == [61.0] and "if these are degrees Fahrenheit" in " ".join(warm.notices)
     assert "Fahrenheit" not in " ".join(read(tmp_path, HEADER + ",temperature_C", ROW + ",31").notices)
+    with pytest.raises(BadInput, match=r"tracker\.csv, line 3, column temperature_C: 295.3 .* kelvin"):
+        read(tmp_path, HEADER + ",temperature_C", ROW + ",22", ROW.replace("1500", "1501") + ",295.3")
 
 
 def test_milliseconds_in_place_of_seconds_are_told(tmp_path):
     rows = [ROW.replace("10", f"{10 + k}", 1) for k in range(5)]
     for unit, told in ((1.0, False), (1e3, True)):
-        timed = "\n".join(f"{row},{unit * 21.0 * k * k}" for k, row in enumerate(reversed(rows)))
+        timed = "\n".join(f"{row},{unit * 21.0 * k * k}" for k, row in [*enumerate(rows)][::-1])
         assert ("milliseconds" in " ".join(read(tmp_path, HEADER + ",time_s", timed).notices)) == told
-    with pytest.raises(BadInput, match=r"tracker\.csv, line 3, column temperature_C: 295.3 .* kelvin"):
-        read(tmp_path, HEADER + ",temperature_C", ROW + ",22", ROW.replace("1500", "1501") + ",295.3")

@@ -136,7 +136,7 @@ def air_to_air(path: BladePath, entry: Engagement, step: float) -> PassCourse:
     peak = peak_share(float(driven[-1]), ramp_way)
     full = (driven[-1] - 2.0 * peak * ramp_way) / peak
     if full < 2.0 * step or peak < LEAST_PEAK:
-        raise _too_short(path, full, peak)
+        raise _too_short(path, full, peak, step)
     edges = np.cumsum([0.0, entry.approach, entry.ramp, full, entry.ramp, entry.approach])
     out = np.linspace(0.0, 1.0, AIR_NODES + 1)
     up = np.linspace(0.0, 1.0, RAMP_NODES + 1)
@@ -162,16 +162,19 @@ def air_to_air(path: BladePath, entry: Engagement, step: float) -> PassCourse:
     return replace(course, share=share, speed=share * np.interp(s, path.s, path.feed), gap=course.gap_at(at))
 
 
-def _too_short(path: BladePath, full: float, peak: float) -> CannotGrind:
-    """Of a line whose force rises to `peak` of what it should and stays there for `full` s: any piece of it is shorter still."""
+def _too_short(path: BladePath, full: float, peak: float, step: float) -> CannotGrind:
+    """Of a line whose force rises to `peak` of what it should and stays there for `full` s, with nodes `step` s apart: any piece
+    is shorter still, but where it is driven faster than on average nodes are nearer to each other in time."""
     feed = float(path.feed.mean())
     reason = f"{path.s[-1] * 1e3:.1f} mm are too short to engage and to lift off at {1e3 * feed:.3g} mm/s"
-    if peak < LEAST_PEAK:
-        would_do = f"lower the feed there to {0.99e3 * feed * peak / LEAST_PEAK:.3g} mm/s or less, or make the line longer"
-    else:
-        would_do = f"use a --step of at most {floor(1e5 * full / 2.0 * feed) / 100:g} mm, or make the line longer"
+    slower = 0.99 * feed * min(peak / LEAST_PEAK, 1.0) if peak < LEAST_PEAK else feed
+    ways = [f"lower the feed there to {1e3 * slower:.3g} mm/s or less"] if slower < feed else []
+    if full * slower < 2.0 * step * feed:  # ramps that shorten a force leave as long under it at any feed
+        ways.append(f"use a --step of at most {floor(1e5 * full / 2.0 * slower) / 100:g} mm")
+    would_do = f"{' and '.join(ways)}, or make the line longer"
+    everywhere = np.full(len(path.s), peak < LEAST_PEAK or np.ptp(path.feed) == 0)
     told = f"line {path.line} ({path.side}): {reason}; {would_do}"
-    return CannotGrind.of(path, np.ones(len(path.s), bool), reason, would_do, 0, told)
+    return CannotGrind.of(path, everywhere, reason, would_do, 0, told)
 
 
 def peak_share(seconds: float, ramp: float) -> float:

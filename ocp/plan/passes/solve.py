@@ -188,11 +188,11 @@ class PassSolver:
         """
         try:
             solution = self._solve(problem, start, full=False)
-        except CannotGrind:
-            if start is None or start.multipliers is None:
+        except Infeasible:
+            if start is None:
                 raise
-            # Multipliers of a problem that is not so close after all lead astray.
-            solution = self._solve(problem, replace(start, multipliers=None), full=False)
+            # A start of a problem that is not so close after all leads astray, and tells another reason than the seed's.
+            solution = self._solve(problem, None, full=False)
         for _ in range(RELINEARISED):
             if not self._breaks_lazy_rows(problem, solution):
                 return solution
@@ -245,7 +245,8 @@ class PassSolver:
         solver = program.solver
         if start is not None and start.multipliers is not None and not full:
             solver, beyond = program.again, ((0, program.n - n), (0, 0))
-            data |= {k: np.pad(v, beyond).ravel() for k, v in zip(("lam_x0", "lam_g0"), start.multipliers, strict=True)}
+            both = zip(("lam_x0", "lam_g0"), start.multipliers, strict=True)
+            data |= {name: np.pad(values, beyond, "edge").ravel() for name, values in both}
         result = solver(**data)
         stats = solver.stats()
         x = np.asarray(result["x"]).reshape(program.n, N_Z)[:n]
