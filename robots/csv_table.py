@@ -215,6 +215,12 @@ def _cells(
     return header, rows, lines
 
 
+def columns_named(path: Path) -> list[str]:
+    """Names of a table's columns; none where it has no header. Raises BadInput: a file that cannot be read."""
+    lines = (line for line in _lines_of(path) if line.strip() and not line.startswith("#"))
+    return [cell.strip() for cell in next(csv.reader(lines), [])]
+
+
 def _lines_of(path: Path) -> list[str]:
     """The lines of a text file, none so long that it is no table."""
     try:

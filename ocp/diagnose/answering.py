@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -159,12 +159,8 @@ def _at_rest(found: Diagnosis, written: tuple[Active, ...]) -> tuple[tuple[Activ
 def _knowing(some: tuple[Channel, ...], channels: Sequence[Channel], written: tuple[Active, ...]) -> tuple[Channel, ...]:
     """Some of the channels, or such with patches, that predict with effects at the sizes that are written, where they see those
     only in part."""
-    if len({c.name for c in channels} - {"force"}) in (0, len(channels)):
-        return some
-    from ocp.diagnose.force.channel import ForceChannel  # blade and contact: only for those who measured force
-
     known = known_beside("force", channels, written)
-    return tuple(replace(c, known=known) if isinstance(c, ForceChannel) else c for c in some)
+    return tuple(cast(Channel, replace(cast(Any, c), known=known)) if c.name == "force" else c for c in some)
 
 
 def with_either_sign(known: dict[str, Effect], believed: Sequence[Active]) -> dict[str, Effect]:

@@ -113,16 +113,17 @@ def calibration_of(channels: Mapping[str, Channel], data: DataSet, written: Sequ
 
 def _of_contact(channels: Mapping[str, Channel], data: DataSet, written: Sequence[Active]) -> Calibration:
     """Arm, wheel, blade frame and stiffnesses as log and arm's prior leave them beside what is written, with their covariance."""
-    from ocp.calibrate.force.fit import FIT_NAMES, left_beside
+    from ocp.calibrate.force.fit import FIT_NAMES
     from ocp.calibrate.force.registration import told_of
     from ocp.diagnose.force.channel import ForceChannel  # blade and contact: only for those who measured force
+    from ocp.diagnose.force.held_out import at_known_sizes
 
     channel = channels["force"]
     assert isinstance(channel, ForceChannel)
-    believed, fit = channel.problem.believed, channel.fit
-    told = {a.key: a.a for a in known_beside("force", channels.values(), written)}  # the log alone leaves their sizes open
-    off = [(told.get(a.key, np.nan) - a.a) / a.effect.prior_sd for a in fit.active]
-    x, covariance = left_beside(believed.root, fit.at.x, fit.information, np.concatenate([[], *off]))
+    believed, root = channel.problem.believed, channel.problem.believed.root
+    told = known_beside("force", channels.values(), written)  # the log alone leaves their sizes open
+    x, _, unknowns = at_known_sizes(channel.problem, channel.fit, told)
+    covariance = root @ unknowns[: root.shape[1], : root.shape[1]] @ root.T
     known = np.flatnonzero(np.diag(covariance)[: len(FIT_NAMES)] > 0)
     noise = {} if believed.joint_noise is None else {"noise": {"joints_rad": believed.joint_noise}}
     provenance: dict[str, Any] = _provenance(channel) | {FORCE: told_of(channel.log, data.setup.calibration)} | noise

@@ -18,7 +18,6 @@ from ocp.calibrate.force.fit import (
     RULE,
     covariance_left,
     force_prior,
-    left_beside,
     reading_jacobian,
     reading_of,
     solve_force_log,
@@ -495,19 +494,3 @@ def test_a_fit_on_a_kink_is_at_rest():
     """In a rigid cell the rows of ramps count: the best fit may lie where one just bears, and every step points across."""
     found = minimise(JustBearing(np.zeros(1)), np.ones(1), RULE)
     assert found.rested and found.at.z[0] == pytest.approx(0.5, abs=1e-3)
-
-
-def test_unknowns_that_others_know_are_held_and_the_rest_follows():
-    """Against the fit that has had them fixed from the start."""
-    rng = np.random.default_rng(8)
-    J, y, root = rng.normal(size=(40, 7)), rng.normal(size=40), rng.normal(size=(5, 3))
-    information = np.eye(7) + J.T @ J
-    z = np.linalg.solve(information, J.T @ y)
-    fixed, rest = np.array([0.7, -0.4]), [0, 1, 2, 3, 5]
-    x, covariance = left_beside(root, root @ z[:3], information, np.array([fixed[0] - z[4], np.nan, fixed[1] - z[6]]))
-    alone = np.eye(5) + J[:, rest].T @ J[:, rest]
-    expected = np.linalg.solve(alone, J[:, rest].T @ (y - J[:, [4, 6]] @ fixed))
-    assert x == pytest.approx(root @ expected[:3], abs=1e-12)
-    assert covariance == pytest.approx(root @ np.linalg.inv(alone)[:3, :3] @ root.T, abs=1e-12)
-    x, covariance = left_beside(root, root @ z[:3], information, np.full(3, np.nan))
-    assert x == pytest.approx(root @ z[:3]) and covariance == pytest.approx(covariance_left(root, information))

@@ -594,7 +594,8 @@ def test_names_that_no_fit_takes_without_the_others_are_not_written():
         raise Infeasible("no rest")
 
     play, drift = SimpleNamespace(key=("backlash", 1), scanned={}), SimpleNamespace(key=("tracker_drift", 0), scanned={})
-    taking = SimpleNamespace(active=(play, drift), baseline=(SimpleNamespace(with_active=lambda active: None),))
+    arm = SimpleNamespace(name="tracker", active=(play,))
+    taking = SimpleNamespace(active=(play, drift), baseline=(SimpleNamespace(with_active=lambda active: arm),))
     refusing = SimpleNamespace(active=(play, drift), channels=(), baseline=(SimpleNamespace(with_active=fails),))
     assert _at_rest(taking, (play,))[0] == (play,) and _at_rest(refusing, (play,)) == ((), refusing.baseline)
     assert _at_rest(refusing, (play, drift)) == ((play, drift), ())  # they stand as they were fitted

@@ -165,15 +165,6 @@ def covariance_left(root: Array, information: Array) -> Array:
     return np.asarray(0.5 * (covariance + covariance.T))
 
 
-def left_beside(root: Array, x: Array, information: Array, off: Array) -> tuple[Array, Array]:
-    """What `covariance_left` says and the fit's x (m,), where others know some of the last unknowns: off (e,), how far those lie
-    from where the fit has them, nan where nobody else knows. To first order, the rest following by the fit's own information."""
-    known = np.concatenate([np.zeros(len(information) - len(off), bool), np.isfinite(off)])
-    rest = information[np.ix_(~known, ~known)]
-    step = np.linalg.solve(rest, information[np.ix_(~known, known)] @ off[np.isfinite(off)])
-    return x - root @ step[: root.shape[1]], covariance_left(root, rest)
-
-
 def pressed_rows(model: ForceModel, log: ForceLog) -> Flags:
     """Rows (n,) that read a force which only contact explains, far above what a sensor is off by."""
     return np.asarray(log.contact & (log.fn > PRESSED * model.law.process_force))

@@ -186,18 +186,16 @@ def _of_two(G: Array, b: Array, sizes: Array, left: float, freedom: float) -> Ar
     return np.asarray(-0.5 * np.log(det) - 0.5 * (freedom + NOISE_TRUST) * np.log((NOISE_TRUST + rest) / (NOISE_TRUST + left)))
 
 
-def _half(
-    rows: Index, turned: Array, spread: Array, vectors: Array | None, positive: Array, rest: Array, freedom: float
-) -> Array:
-    """Log of twice the posterior probability (a Student t) that a coefficient held positive is, one by one; (rows, T)."""
-    mean, variance = turned[rows][:, None, :] * spread[rows], spread[rows]
+def _half(k: Index, turned: Array, spread: Array, vectors: Array | None, positive: Array, rest: Array, freedom: float) -> Array:
+    """Log of twice the posterior probability (a Student t) that a coefficient held positive is, one by one; of rows k, (k, T)."""
+    mean, variance = turned[k][:, None, :] * spread[k], spread[k]
     if vectors is not None:
-        mean = np.einsum("vik,vtk->vti", vectors[rows], mean)
-        variance = np.einsum("vik,vtk->vti", vectors[rows] ** 2, variance)
-    scale2 = (NOISE_TRUST + rest[rows]) / (NOISE_TRUST + freedom)
+        mean = np.einsum("vik,vtk->vti", vectors[k], mean)
+        variance = np.einsum("vik,vtk->vti", vectors[k] ** 2, variance)
+    scale2 = (NOISE_TRUST + rest[k]) / (NOISE_TRUST + freedom)
     right = stdtr(freedom + NOISE_TRUST, mean / np.sqrt(variance * scale2[..., None]))
     each = np.log(WRONG_SIGN + 2.0 * (1.0 - WRONG_SIGN) * right)
-    return np.asarray(np.where(positive[rows][:, None, :], each, 0.0).sum(axis=2))
+    return np.asarray(np.where(positive[k][:, None, :], each, 0.0).sum(axis=2))
 
 
 _LAMBDA = np.geomspace(3.0, 400.0, 500)

@@ -175,9 +175,7 @@ def at_known_sizes(problem: ForceProblem, fit: EffectFit, known: Sequence[Active
     better = tuple(told.get(a.key, a) for a in fit.active)
     there = r + o + np.flatnonzero(np.repeat([a.key in told for a in better], [len(a.a) for a in better]))
     covariance, off = np.asarray(np.linalg.inv(fit.information), float), units_of(better) - units_of(fit.active)
-    if not len(there):
-        return fit.at.x, fit.active, covariance
-    sure = block_diag(*(a.covariance for a in better)) / np.outer(scale, scale)
+    sure = block_diag(np.zeros((0, 0)), *(a.covariance for a in better)) / np.outer(scale, scale)
     follows = np.linalg.solve(covariance[np.ix_(there, there)], covariance[there]).T
     moved = follows @ off[there - r - o]
     wider = sure[np.ix_(there - r - o, there - r - o)] - covariance[np.ix_(there, there)]

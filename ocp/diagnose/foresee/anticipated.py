@@ -262,9 +262,7 @@ def _placed(channel: TrackerChannel, new: Readings) -> Array:
 def _warmths(readings: Readings) -> list[float | None]:
     """Temperatures deg C of new readings; None: as measured, or not."""
     T = readings.temperature
-    if T is None or np.ptp(T) < LEAST_WARMTH:
-        return [None]
-    return [float(t) for t in np.quantile(T, LATER_WARMTHS)]
+    return [None] if T is None or np.ptp(T) < LEAST_WARMTH else [float(t) for t in np.quantile(T, LATER_WARMTHS)]
 
 
 def _later(readings: Readings) -> Readings:

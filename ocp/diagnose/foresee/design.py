@@ -5,7 +5,6 @@ end, mean over its coefficients) has the detectability t^2 |M C|^2 / m; it is na
 `ocp.diagnose.engine.evidence` says, for this many variants and against the background of a good machine.
 """
 
-import csv
 import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -27,7 +26,7 @@ from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.effects.catalogue import library
 from ocp.effects.effect import Effect, Parameter, Scanned
 from ocp.model.cell import TrackerSetup, read_cell, read_tracker_setup
-from robots.csv_table import read_csv_table
+from robots.csv_table import columns_named, read_csv_table
 from robots.errors import BadInput
 from robots.pose import Array, Index
 from robots.tracker_readings import read_readings
@@ -232,31 +231,18 @@ def read_planned_log(path: Path) -> ForceLog:
     A file without a column run is taken for a plan.csv: every passage in contact is a recording, the program's clock that of the
     campaign, no line was ground before. Raises BadInput: as `read_force_log`, and where too few rows are in contact.
     """
-    log = read_force_log(path, sealed=True) if "run" in _columns_named(path) else _log_of_plan(path)
+    log = read_force_log(path, sealed=True) if "run" in columns_named(path) else _log_of_plan(path)
     count = int(log.contact.sum())
     if count < LEAST_CONTACT_ROWS:
         raise BadInput(f"{path}, column contact: {count} rows in contact tell nothing; plan at least {LEAST_CONTACT_ROWS}")
     return log
 
 
-def _columns_named(path: Path) -> list[str]:
-    """Names of the columns; none where the file cannot be read, which its reader explains."""
-    try:
-        with path.open(encoding="utf-8-sig", newline="") as file:
-            rows = csv.reader(line for line in file if line.strip() and not line.startswith("#"))
-            return [cell.strip() for cell in next(rows, [])]
-    except (OSError, UnicodeDecodeError):
-        return []
-
-
 def _log_of_plan(path: Path) -> ForceLog:
     """Rows in contact of a plan.csv."""
-    header = _columns_named(path)
+    header = columns_named(path)
     if header and "line" not in header:
-        raise BadInput(
-            f"{path}: has neither a column run (force.csv without fn_N) nor a column line (plan.csv of ocp.plan); give one of "
-            "the two"
-        )
+        raise BadInput(f"{path}: has neither a column run (as a force.csv) nor a column line (as a plan.csv); give one of both")
     vectors = (*POINT, *NORMAL, *FEED)
     table = read_csv_table(path, NEEDED, ALONG, gaps=(*vectors, *ALONG))
     contact, line = table.numbers["contact"], table.numbers["line"]

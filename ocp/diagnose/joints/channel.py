@@ -423,11 +423,9 @@ def rubbing(nuisance: EncoderNuisance) -> Mask:
     return np.array([name.split()[0] in DRIVE_SD for name in nuisance.names])
 
 
-def _unsure_of(
-    at: JointChannel, known: EncoderProblem, there: EncoderProblem, nuisance: Array, rubs: bool
-) -> tuple[Array, Array]:
-    """Of what a fit to the readings `known` predicts of `there`, with sensitivities nuisance (n, p) in that fit's own: variance
-    (n,) rad^2 of the unknowns, all together, and change (n,) rad to come; `rubs`: if friction were as the readings have it."""
+def _unsure_of(at: JointChannel, known: EncoderProblem, new: EncoderProblem, nuisance: Array, rubs: bool) -> tuple[Array, Array]:
+    """Of what a fit to the readings `known` predicts of `new` ones, with sensitivities nuisance (n, p) to its own: variance (n,)
+    rad^2 of the unknowns, all together, and change (n,) rad to come; `rubs`: if friction were as the readings have it."""
     own, delays, active = known.nuisance, delays_of(known, at.active), at.active
     there_is = np.where(rubbing(own), float(rubs), 1.0)
     sd = np.append(own.sd, prior_sds(active))
@@ -437,7 +435,7 @@ def _unsure_of(
     left = known.measured - own.columns @ at.theta - shift_of(known, active)
     here = np.column_stack([left, own.columns * there_is, *(column_of(known, one, delays) for one in active)])
     white = known.whitened(here)
-    far = np.column_stack([nuisance * there_is, *(column_of(there, one, delays) for one in active)]) * scale
+    far = np.column_stack([nuisance * there_is, *(column_of(new, one, delays) for one in active)]) * scale
     step = linear_step(white[:, 0], white[:, 1:] * scale, offset / scale, held.astype(float), RANK)
     return np.einsum("np,pq,nq->n", far, step.covariance, far, optimize=True), far @ step.change
 

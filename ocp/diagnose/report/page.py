@@ -30,10 +30,7 @@ def which_effect_section(answer: Answer) -> Section:
         parts += ["These data cannot tell apart the members of each of these classes:", Points(tuple(groups))]
     if d.impostors:
         words = tuple(f"{effect_words(name)}: {why}" for name, why in d.impostors)
-        parts += [
-            "Impostors: they help where readings are left out at random and do harm where a condition is new.",
-            Points(words),
-        ]
+        parts += ["Impostors: they help where readings are left out at random and harm where a condition is new.", Points(words)]
     if d.unknown_reasons:
         parts += ["What speaks for an effect outside the catalogue:", Points(tuple(d.unknown_reasons))]
     return Section("Which effect", tuple(parts))

@@ -183,14 +183,12 @@ def alternatives(
     return _summed(listed)
 
 
-def _patches_beside(
-    problem: Linearisation, search: Search, strange: dict[Key, Weighed], unknown: float
-) -> tuple[Alternative, ...]:
-    """Patches of the kernels in these sets, which hold the same names, with probabilities that sum to `unknown`; none: no patch
-    can hold what does."""
+def _patches_beside(problem: Linearisation, search: Search, strange: dict[Key, Weighed], whole: float) -> tuple[Alternative, ...]:
+    """Patches of the kernels in these sets, which hold the same names, with probabilities that sum to `whole`; none: no patch can
+    hold what does."""
     alone = copy(search)
     alone.sets = strange
-    return summing_to(unknown, patches_of(problem, alone, posterior(problem, alone).where))
+    return summing_to(whole, patches_of(problem, alone, posterior(problem, alone).where))
 
 
 def without_kernels(problem: Linearisation, search: Search) -> tuple[Alternative, ...]:

@@ -65,9 +65,8 @@ class Anticipated:
 def realised(before: float, after: float, noise: float) -> float | None:
     """Shrinkage from mean squares; None where the gap before is below a fifth of the noise."""
     gap = before - noise
-    if gap <= rules.NO_GAP**2 * noise or gap <= 0:
-        return None
-    return float(1.0 - np.sqrt(max(after - noise, 0.0) / gap))
+    seen = gap > max(rules.NO_GAP**2 * noise, 0.0)
+    return float(1.0 - np.sqrt(max(after - noise, 0.0) / gap)) if seen else None
 
 
 def from_model(
