@@ -184,6 +184,7 @@ def test_short_lines_are_pressed_less_and_still_shorter_ones_are_refused():
         (0.01, 0.15, STEP, [slow]),
         (0.01, 0.04, 4 * STEP, [coarse]),
         (0.003, 0.04, 4 * STEP, [slow, coarse]),
+        (0.003, 0.04, 1.6 * STEP, [slow, coarse]),  # the step would do at this feed, and not at a slower one
     ):
         path = bar_pass(length=length, feed=feed)
         with pytest.raises(CannotGrind) as error:
