@@ -44,7 +44,7 @@ from robots.errors import Infeasible
 from robots.pose import Array, invert
 from trajectories.passes import BladePath
 
-PAD = 32  # programs are built for multiples of this many waypoints and shared by passes of similar length
+PAD = 32  # programs are built for multiples of this many waypoints, short ones of half, and shared by passes of similar length
 AIM_STEPS = 2  # each leaves a thousandth of the miss
 RELINEARISED = 4  # solutions with axis limits, each with the torque linear about the one before
 LEAST_RATE = 0.05  # of the nominal one
