@@ -46,6 +46,16 @@ def polite():
     print("busy", flush=True)
     time.sleep(60)
 
+def writing():
+    import tempfile  # numbers pass through temporary files all the time, as they do between the processes of a check
+    for k in range(6000):
+        Path(tempfile.gettempdir(), f"kept{k}").touch()
+    print("busy", flush=True)
+    while True:
+        with tempfile.TemporaryDirectory() as folder:
+            Path(folder, "numbers").write_text("1")
+            Path(folder, "numbers").read_text()
+
 def lingering():
     # A slow machine: the sentence is told, the way out takes longer than the parent waits.
     from ocp.shell import processes
@@ -210,13 +220,13 @@ def test_a_second_interrupt_ends_at_once(script, tmp_path):
     assert not (tmp_path / "out").exists() and not list(tmp_path.glob(".out*"))
 
 
-@pytest.mark.parametrize("what", ["polite", "spawned"])
+@pytest.mark.parametrize("what", ["polite", "spawned", "writing"])
 def test_no_process_outlives_a_killed_command_and_the_next_one_clears_away(script, tmp_path, what):
     out = tmp_path / "out"
     process = started(script, what, out)
     assert process.stdout.readline() == "busy\n"
     process.kill()
-    process.communicate(timeout=20)
+    assert process.communicate(timeout=20)[1] == ""  # what it was doing does not end with an error
     until = time.monotonic() + 5.0
     while processes(process.pid) and time.monotonic() < until:
         time.sleep(0.05)
