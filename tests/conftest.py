@@ -180,7 +180,7 @@ def small_plan_once(own_cache: None):
 
 @pytest.fixture
 def unprinted(request: pytest.FixtureRequest) -> Iterator[None]:
-    """Commands in this process write no report.pdf and draw no figures on pages, which take as long as all else; but for tests
+    """Commands in this process draw no figures for pages and sheets, which take as long as all else; but for tests
     marked `drawn`, and what is made for a whole module."""
     from tests.support.small_plan import without_figures
 

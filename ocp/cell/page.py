@@ -17,7 +17,6 @@ from ocp.report.plotting import Canvas, dressed, panels
 from ocp.report.report import Report
 from ocp.report.scene_kit import encode, encode_index, scene_script, scene_style, script_json
 from ocp.report.section import Headline, Part, Section
-from ocp.report.sheets import Sheets
 from ocp.report.style import COLOUR_MAP, INK, VIRIDIS
 from robots.inverse import arm_family
 from robots.kinematics import link_frames
@@ -136,9 +135,9 @@ class CellView(Part):
     region: WheelRegion
     postures: tuple[tuple[Array, str], ...]
 
-    def on_sheets(self, sheets: Sheets) -> None:
+    def on_paper(self) -> dict[str, Any]:
         """Words: a scene is for the page, and a cell has no print of its own."""
-        sheets.paragraph("The cell stands in cell.html, where it can be turned.")
+        return {"is": "paragraph", "words": "The cell stands in cell.html, where it can be turned."}
 
     def on_page(self) -> Markup:
         """Canvas, controls and the script's data."""

@@ -111,8 +111,7 @@ def write_experiments(trials: Sequence[Trial], wanted: float, folder: Path) -> N
     """report.html and report.pdf in `folder`; `wanted` N is the process force."""
     title = f"{len(trials)} robots, {wanted:g} N"
     report = Report("Experiments on virtual robots", title, _headline(trials, wanted), (), experiment_sections(trials, wanted))
-    report.write_page(folder / "report.html")
-    report.write_pdf(folder / "report.pdf")
+    report.write(folder)
 
 
 def experiment_sections(trials: Sequence[Trial], wanted: float) -> list[Section]:

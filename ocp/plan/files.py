@@ -20,7 +20,7 @@ from ocp.plan.report.plan_report import PlanReport, build_report
 from ocp.plan.second_route import believed_robot
 from ocp.shell.cache import sha256
 from ocp.shell.output import Output
-from ocp.shell.processes import side_by_side
+from ocp.shell.processes import cores, side_by_side
 from ocp.shell.progress import Phases
 from trajectories.dialects import dialect_named
 
@@ -211,13 +211,23 @@ def _write_json(plan: Plan, written: _Written, summary: list[tuple[str, str]], g
 
 def write_plan_report(report: PlanReport, folder: Path) -> None:
     """Write report.html and report.pdf into `folder`; equal reports give equal bytes. Raises OSError."""
-    with side_by_side(_write_as, [("html",), ("pdf",)], report, folder) as written:
+    shares = [(k, cores()) for k in range(cores())]
+    with side_by_side(_drawn, shares, report) as parts:
+        drawn = {key: svg for part in parts for key, svg in part.items()}
+    with side_by_side(_write_as, [("html",), ("pdf",)], report, folder, drawn) as written:
         list(written)
 
 
-def _write_as(report: PlanReport, folder: Path, kind: str) -> None:
+def _drawn(report: PlanReport, share: int, of: int) -> dict[str, str]:
+    """The pictures of one share of the report."""
     from ocp.plan.report.pages import plan_pages  # brings what draws, which a plan's own process does without
 
-    pages = plan_pages(report)
+    return {plot.key: plot.drawn() for plot in plan_pages(report).plots()[share::of]}
+
+
+def _write_as(report: PlanReport, folder: Path, drawn: dict[str, str], kind: str) -> None:
+    from ocp.plan.report.pages import plan_pages
+
+    pages = plan_pages(report).with_plots(drawn)
     write = {"html": pages.write_page, "pdf": pages.write_pdf}[kind]
     write(folder / f"report.{kind}")

@@ -130,8 +130,7 @@ def write_poses(plan: PosePlan, output: Output, phases: Phases, inputs: Sequence
             _write_json(plan, programs, inputs, folder / "poses.json")
         with phases.phase("report"):
             report = poses_report(plan)
-            report.write_page(folder / "report.html")
-            report.write_pdf(folder / "report.pdf")
+            report.write(folder)
     return PosesResult(out, plan, last_line(plan, out, rows, len(programs)))
 
 

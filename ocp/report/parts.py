@@ -1,4 +1,4 @@
-"""The usual parts of a section: paragraph, list, facts, table, plot; each draws itself on the page and on paper."""
+"""The usual parts of a section: paragraph, list, facts, table, plot; each is itself on the page and on paper."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -7,14 +7,9 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
-from ocp.report.plotting import WIDTH, Canvas, Draw, inline_svg
+from ocp.report.paper import picture
+from ocp.report.plotting import Draw, inline_svg
 from ocp.report.section import Part, Section
-from ocp.report.sheets import A4_HEIGHT, FOOT, LEFT, LINE, TEXT, Sheets, width_of, wrapped
-from ocp.report.style import BAD, INK, SHADE, SIDE_COLOURS, SOFT
-
-SMALL = 7.0  # points, of tables and captions
-GAP = 0.13  # inch between the columns of a table
-BAR = 0.5  # inch on paper
 
 
 def as_part(part: Part | str) -> Part:
@@ -32,13 +27,9 @@ class Paragraph(Part):
         """A `<p>`."""
         return Markup('<p class="words">{}</p>').format(self.words)
 
-    def on_sheets(self, sheets: Sheets) -> None:
-        """Lines that are as long as the sheet is wide."""
-        sheets.paragraph(self.words)
-
-    def beginning(self) -> float:
-        """All of it."""
-        return LINE * len(wrapped(self.words, WIDTH, TEXT)) + 0.1
+    def on_paper(self) -> dict[str, Any]:
+        """The words."""
+        return {"is": "paragraph", "words": self.words}
 
 
 @dataclass(frozen=True)
@@ -55,11 +46,9 @@ class Points(Part):
             tag, Markup("").join(map(Markup("<li>{}</li>").format, self.items)), tag
         )
 
-    def on_sheets(self, sheets: Sheets) -> None:
-        """One item after the other, the first line of each with its mark."""
-        for k, item in enumerate(self.items):
-            sheets.paragraph(item, mark=f"{k + 1}." if self.numbered else "•", gap=0.04)
-        sheets.y += 0.06
+    def on_paper(self) -> dict[str, Any]:
+        """The items."""
+        return {"is": "points", "items": self.items, "numbered": self.numbered}
 
 
 @dataclass(frozen=True)
@@ -73,20 +62,9 @@ class Facts(Part):
         rows = (Markup('<tr><th scope="row">{}</th><td>{}</td></tr>').format(*pair) for pair in self.pairs)
         return Markup('<table class="facts">{}</table>').format(Markup("").join(rows))
 
-    def on_sheets(self, sheets: Sheets) -> None:
-        """Questions at the left, bold; answers beside them."""
-        indent = min(max([1.1, *(width_of(question, TEXT, True) + 0.2 for question, _ in self.pairs)]), 0.5 * WIDTH)
-        for question, answer in self.pairs:
-            asked, said = wrapped(question, indent - 0.1, TEXT), wrapped(answer, WIDTH - indent, TEXT)
-            sheets.need(LINE * max(len(asked), min(len(said), 3)))
-            for k in range(max(len(asked), len(said))):
-                sheets.need(LINE)
-                if k < len(asked):
-                    sheets.last.text(LEFT, sheets.y, asked[k], fontweight="bold")
-                if k < len(said):
-                    sheets.last.text(LEFT + indent, sheets.y, said[k])
-                sheets.y += LINE
-            sheets.y += 0.06
+    def on_paper(self) -> dict[str, Any]:
+        """The pairs."""
+        return {"is": "facts", "pairs": self.pairs}
 
 
 @dataclass(frozen=True)
@@ -138,44 +116,11 @@ class Table(Part):
         share = self.bars[column][row] if column in self.bars else np.nan
         return float(share) if np.isfinite(share) else None
 
-    def on_sheets(self, sheets: Sheets) -> None:
-        """The head is repeated on every sheet, no row is broken."""
-        widths = column_widths(self)
-        head = [wrapped(name, w, SMALL) for name, w in zip(self.columns, widths, strict=True)]
-        room = [w - (BAR + 0.1 if k in self.bars else 0.0) for k, w in enumerate(widths)]
-        rows = [[wrapped(cell, w, SMALL) for cell, w in zip(row, room, strict=True)] for row in self.rows]
-        head_height = 0.14 * max(len(cell) for cell in head) + 0.07
-        sheets.need(head_height + (0.2 if self.title else 0) + sum(_row_height(row) for row in rows[:3]))
-        if self.title:
-            sheets.last.text(LEFT, sheets.y, self.title, fontsize=TEXT, fontweight="bold")
-            sheets.y += 0.19
-        self._row_on_sheet(sheets, head, widths, None, color=SOFT, fontweight="bold")
-        for k, row in enumerate(rows):
-            if sheets.y + _row_height(row) > FOOT:
-                sheets.need(FOOT)
-                self._row_on_sheet(sheets, head, widths, None, color=SOFT, fontweight="bold")
-            weight = "bold" if k in self.strong else "normal"
-            self._row_on_sheet(sheets, row, widths, k, color=SOFT if k in self.quiet else INK, fontweight=weight)
-        sheets.y += 0.12
-
-    def _row_on_sheet(self, sheets: Sheets, cells: list[list[str]], widths: list[float], row: int | None, **style: Any) -> None:
-        x = LEFT
-        for k, (cell, width) in enumerate(zip(cells, widths, strict=True)):
-            share = None if row is None else self._share(row, k)
-            if share is not None:
-                sheets.last.box(x, sheets.y, BAR, 0.06, SHADE)
-                sheets.last.box(x, sheets.y, BAR * min(share, 1.0), 0.06, BAD if share > 1 else SIDE_COLOURS[0])
-            for i, line in enumerate(cell):
-                flush = {"ha": "right"} if k in self.numbers else {}
-                at = x + width if k in self.numbers else x + (BAR + 0.1 if share is not None else 0.0)
-                sheets.last.text(at, sheets.y + 0.14 * i, line, fontsize=SMALL, **flush, **style)
-            x += width + GAP
-        sheets.y += _row_height(cells)
-        sheets.last.rule(sheets.y - 0.115, LEFT, x - GAP)
-
-    def beginning(self) -> float:
-        """Head and a few rows."""
-        return 0.9
+    def on_paper(self) -> dict[str, Any]:
+        """Its head, which is repeated on every sheet, and its rows."""
+        sets = {name: sorted(getattr(self, name)) for name in ("numbers", "quiet", "strong")}
+        bars = {str(k): [self._share(row, k) for row in range(len(self.rows))] for k in self.bars}
+        return {"is": "table", "columns": self.columns, "rows": self.rows, "title": self.title, "bars": bars, **sets}
 
 
 def table(
@@ -195,58 +140,29 @@ def table(
     return Table(tuple(columns), tuple(tuple(r) for r in rows), numbers, frozenset(quiet), frozenset(strong), title, bars or {})
 
 
-def column_widths(table: Table) -> list[float]:
-    """Width inch of each column: what its longest entry takes; the widest columns of words give way until all fit."""
-    natural = []
-    for k, name in enumerate(table.columns):
-        cells = max((width_of(row[k], SMALL, k_row in table.strong) for k_row, row in enumerate(table.rows)), default=0.0)
-        cells += BAR + 0.1 if k in table.bars else 0.0
-        longest_word = max((width_of(word, SMALL, True) for word in name.split()), default=0.0)
-        natural.append(max(cells, min(width_of(name, SMALL, True), max(longest_word, 0.75))) + 0.01)
-    widths = np.array(natural)
-    room = WIDTH - GAP * (len(widths) - 1)
-    words = [k for k in range(len(widths)) if k not in table.numbers] or list(range(len(widths)))
-    while widths.sum() > room + 1e-9:
-        widest = max(words, key=lambda k: widths[k])
-        if widths[widest] <= 0.4:
-            widths *= room / widths.sum()
-            break
-        widths[widest] = max(0.4, widths[widest] - min(0.05, widths.sum() - room))
-    return [float(w) for w in widths]
-
-
-def _row_height(cells: list[list[str]]) -> float:
-    return 0.14 * max(len(cell) for cell in cells) + 0.045
-
-
 @dataclass(frozen=True)
 class Plot(Part):
-    """A picture: `key` (letters and dashes, one in the report), caption, height inch, and the function that draws it."""
+    """A picture: `key` (letters and dashes, one in the report), caption, height inch, and the function that draws it; `svg`: the
+    picture where it is drawn already."""
 
     key: str
     caption: str
     height: float
     draw: Draw
+    svg: str = field(default="", kw_only=True)
+
+    def drawn(self) -> str:
+        """The `<svg>` element, for page and paper."""
+        return self.svg or inline_svg(self.key, self.caption, self.height, self.draw)
 
     def on_page(self) -> Markup:
         """A `<figure>` with the plot as SVG."""
-        svg = Markup(inline_svg(self.key, self.caption, self.height, self.draw))
-        return Markup('<figure class="plot">\n<figcaption>{}</figcaption>\n{}\n</figure>').format(self.caption, svg)
+        figure = Markup('<figure class="plot">\n<figcaption>{}</figcaption>\n{}\n</figure>')
+        return figure.format(self.caption, Markup(self.drawn()))
 
-    def on_sheets(self, sheets: Sheets) -> None:
-        """The caption above the plot, both on one sheet."""
-        caption = wrapped(self.caption, WIDTH, SMALL + 0.5)
-        sheets.need(self.height + 0.15 * len(caption) + 0.1)
-        for line in caption:
-            sheets.last.text(LEFT, sheets.y, line, fontsize=SMALL + 0.5, color=SOFT)
-            sheets.y += 0.15
-        bottom = A4_HEIGHT - (sheets.y - 0.06 + self.height)
-        self.draw(Canvas(sheets.last.figure, self.height, LEFT, bottom))
-        sheets.y += self.height + 0.12
-
-    def beginning(self) -> float:
-        """Caption and plot."""
-        return self.height + 0.5
+    def on_paper(self) -> dict[str, Any]:
+        """Caption and picture."""
+        return {"is": "plot", "caption": self.caption, **picture(self.drawn())}
 
 
 def made_from(hashes: Mapping[str, str]) -> Section:

@@ -4,12 +4,10 @@ This module imports nothing that draws: a command's last line needs a headline a
 """
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 if TYPE_CHECKING:
     from markupsafe import Markup
-
-    from ocp.report.sheets import Sheets
 
 
 @dataclass(frozen=True)
@@ -41,12 +39,9 @@ class Part(Protocol):
     def on_page(self) -> "Markup":
         """Itself as HTML without style attributes; whatever came from a user is escaped."""
 
-    def on_sheets(self, sheets: "Sheets") -> None:
-        """Draw itself where the sheets are free, and say how far down that went (`Sheets.y`)."""
-
-    def beginning(self) -> float:
-        """Height inch on paper that a heading above it keeps together with it: a line or two."""
-        return 0.4
+    def on_paper(self) -> dict[str, Any]:
+        """Itself as data for paper.typ: what it `is` there (paragraph, points, facts, table, plot, panels), and that one's
+        words and pictures."""
 
 
 @dataclass(frozen=True)

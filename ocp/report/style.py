@@ -26,8 +26,6 @@ COLOUR_MAP = LinearSegmentedColormap.from_list("report", list(VIRIDIS))
 STYLE: dict[str, Any] = {
     "font.family": ["DejaVu Sans"],  # comes with matplotlib: the same glyphs on every machine
     "font.size": 8,
-    "pdf.fonttype": 42,
-    "pdf.compression": 6,
     "axes.edgecolor": "#9aa5b1",
     "axes.linewidth": 0.6,
     "axes.labelcolor": SOFT,
@@ -48,7 +46,7 @@ STYLE: dict[str, Any] = {
     "ytick.labelsize": 6.5,
     "axes.titley": 1.0,  # a fixed place: looking for a free one takes a sixth of the time
 }
-"""matplotlib settings in force while the sheets are made and written."""
+"""matplotlib settings in force while plots are drawn."""
 
 
 @cache

@@ -1,19 +1,23 @@
 """The kit of reports: parts draw themselves on the page and on paper, nothing is smuggled in, nothing runs over an edge."""
 
+import io
 import re
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from markupsafe import Markup
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from PIL import Image
 
-from ocp.report.parts import Facts, Plot, Points, column_widths, made_from, table
+from ocp.report.paper import _shown, compiler
+from ocp.report.parts import Facts, Plot, Points, made_from, table
 from ocp.report.plotting import WIDTH, Canvas, dressed, envelope, finished, inline_svg
 from ocp.report.report import Report
 from ocp.report.section import Headline, Part, Section
-from ocp.report.sheets import Sheets, new_sheet, width_of, wrapped
 from ocp.report.style import printable, shorten
 
 HOSTILE = '</td><script>alert("x")</script>&amp;'
@@ -25,11 +29,8 @@ class Stamp(Part):
     def on_page(self) -> Markup:
         return Markup("<b>stamped</b>")
 
-    def on_sheets(self, sheets: Sheets) -> None:
-        sheets.paragraph("stamped")
-
-    def beginning(self) -> float:
-        return 0.2
+    def on_paper(self) -> dict[str, Any]:
+        return {"is": "paragraph", "words": "stamped"}
 
 
 def report(*parts: Part | str, **changes) -> Report:
@@ -47,17 +48,77 @@ def usual_parts() -> tuple[Part | str, ...]:
     return ("words", Points(("one", "two"), numbered=True), Facts((("asked", "answered"),)), bars, Plot("p", "seen", 1.0, line))
 
 
-def words_of(sheets: Sheets) -> list[str]:
-    return [text.get_text() for sheet in sheets.all for text in sheet.figure.texts]
+def words_of(part: Part) -> set[str]:
+    """What it says on paper, pictures apart."""
+
+    def words(value: Any, key: str = "") -> list[str]:
+        if isinstance(value, dict):
+            return [word for name, item in value.items() for word in words(item, name)]
+        if isinstance(value, (list, tuple)):
+            return [word for item in value for word in words(item, key)]
+        return [value] if isinstance(value, str) and key not in ("is", "picture") else []
+
+    return set(words(part.on_paper()))
+
+
+def rendered(of: Report, tmp_path: Path) -> list[np.ndarray]:
+    """Its sheets as grey pixels (h, w), three to a millimetre."""
+    seen: list[bytes] = []
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("ocp.report.report.sheets", lambda *given: seen.extend(_pictures(*given)) or b"")
+        of.write_pdf(tmp_path / "unused.pdf")
+    return [np.asarray(Image.open(io.BytesIO(one)).convert("L")) for one in seen]
+
+
+def _pictures(*given: Any) -> list[bytes]:
+    made = compiler(*given).compile(format="png", ppi=76.2)
+    return made if isinstance(made, list) else [made]
+
+
+def margins(sheet: np.ndarray) -> np.ndarray:
+    """What of it lies left, right of and above what may be printed on."""
+    edge = round(0.68 * 76.2)
+    return np.concatenate([sheet[:, :edge].ravel(), sheet[:, -edge:].ravel(), sheet[:edge].ravel()])
 
 
 def test_every_part_says_the_same_on_page_and_paper():
     for part in (*usual_parts()[1:], Stamp()):
-        sheets = Sheets([new_sheet()], 1.0)
-        part.on_sheets(sheets)
         page = re.sub(r"<svg.*?</svg>", "", str(part.on_page()), flags=re.S)
         told = set(re.sub(r"<[^>]+>", "\n", page).split("\n")) - {""}
-        assert told and told <= set(words_of(sheets)) and sheets.y > 1.0
+        assert told and told <= words_of(part)
+
+
+def test_nothing_runs_over_an_edge_and_long_words_are_broken(tmp_path):
+    long = "averyverylongnamewithoutanyspaceinit" * 9
+    wide = table(("a", "b", "c", "d"), [(long, "word " * 90, long, "12.5")] * 3, text=(0, 1, 2))
+    parts = (long, Points((long, long)), Facts(((long, long),)), wide, "叶 $x$ #panic() *" + long)
+    found = rendered(replace(report(*parts), title=long, head=Headline(False, long, long, ((long, long),))), tmp_path)
+    assert len(found) >= 2
+    for sheet in found:
+        assert sheet.shape[0] > 1.4 * sheet.shape[1] and margins(sheet).min() > 250 and sheet.min() < 120
+
+
+def test_a_whole_word_is_printed_whole_and_a_hash_can_be_copied():
+    assert _shown({"is": "table", "columns": ["file", "SHA-256"], "rows": [["ab" * 32]]})["rows"] == [["ab" * 32]]
+    assert _shown({"is": "table", "columns": ["a", "b", "c"], "rows": [["ab" * 32]]})["rows"] != [["ab" * 32]]
+    assert _shown("x" * 70).replace("\u200b", "") == "x" * 70 and "\u200b" in _shown("x" * 70)
+    assert _shown("叶") == "\u25a1" and _shown({"picture": "叶"}) == {"picture": "叶"}
+
+
+def test_a_bar_on_paper_is_as_long_as_its_share(tmp_path):
+    """Beside the words, up to its whole length; a share over one in the colour of what is bad."""
+
+    def lengths(*shares: float) -> list[int]:
+        rows = [(f"A{k}", "") for k in range(len(shares))]
+        shown = table(("what", "use"), rows, (0, 1), bars={1: shares})
+        (sheet,) = rendered(Report("Test", "t", Headline(True, "v", "s"), (), (Section("One", (shown,)),)), tmp_path)
+        dark = sheet[int(2.2 * 76.2) :] < 150  # bars, not the grey that they lie on
+        runs = [max((len(run) for run in "".join("x" if d else " " for d in row).split()), default=0) for row in dark]
+        return [length for k, length in enumerate(runs) if length > 8 and runs[k - 1] != length]
+
+    half, whole = lengths(0.5), lengths(1.0)
+    assert len(half) == len(whole) == 1 and abs(half[0] - 0.25 * 76.2) < 2.5 and abs(whole[0] - 0.5 * 76.2) < 2.5
+    assert lengths(1.7) == whole and lengths(np.nan) == []
 
 
 def test_a_page_runs_the_scripts_of_its_sections_and_no_other():
@@ -84,11 +145,24 @@ def test_equal_reports_are_equal_bytes_without_a_date(tmp_path):
     assert content == (tmp_path / "b.pdf").read_bytes() and b"CreationDate" not in content
 
 
-def test_long_tables_go_on_with_their_head_on_the_next_sheet():
-    sheets = Sheets([new_sheet()], 1.0)
-    table(("key", "value"), [(f"k{i}", "1") for i in range(100)]).on_sheets(sheets)
-    assert len(sheets.all) == 2 and words_of(sheets).count("key") == 2
-    assert all(f"k{i}" in words_of(sheets) for i in range(100))
+def test_long_tables_go_on_on_the_next_sheet(tmp_path):
+    rows = [(f"k{i}", "1") for i in range(100)]
+    found = rendered(report(table(("key", "value"), rows)), tmp_path)
+    assert len(found) == 2 and all(sheet[100:200].min() < 200 for sheet in found)
+
+
+def test_a_picture_is_drawn_once_for_page_and_paper(tmp_path):
+    times: list[int] = []
+
+    def draw(canvas: Canvas) -> None:
+        times.append(1)
+        line(canvas)
+
+    made = report("words", Plot("p", "seen", 1.0, draw), Plot("q", "too", 1.0, draw))
+    made.write(tmp_path)
+    assert len(times) == 2 and (tmp_path / "report.pdf").read_bytes().startswith(b"%PDF-")
+    known = made.with_plots({"q": "<svg>q</svg>"})
+    assert [plot.svg for plot in known.plots()] == ["", "<svg>q</svg>"] and "<svg>q</svg>" in known.page()
 
 
 def test_labels_stand_beside_the_numbers():
@@ -124,15 +198,6 @@ def test_labels_keep_their_decimals():
     text = inline_svg("one", 'a "caption"', 2.0, draw)
     assert "0.0375 &lt; 1 &amp; more" in text and "style=" not in text and 'aria-label="a &quot;caption&quot;"' in text
     assert text.count("<use href=") >= 3 and f'viewBox="0 0 {72 * WIDTH:.2f}' in text
-
-
-def test_wrapped_lines_fit_and_lose_nothing():
-    words = "Neighbours that point the same way are a pattern " * 3 + "averyveryveryverylongnamewithoutanyspaceinit" * 2
-    lines = wrapped(words, 2.0, 8.0)
-    assert all(width_of(line, 8.0) <= 2.0 for line in lines)
-    assert "".join(lines).replace(" ", "") == words.replace(" ", "")
-    wide = table(("a", "b", "c"), [("x", "word " * 60, "12.5")], text=(0, 1))
-    assert sum(column_widths(wide)) <= WIDTH and column_widths(wide)[2] >= width_of("12.5", 7.0)
 
 
 def test_a_table_with_a_short_row_is_refused():

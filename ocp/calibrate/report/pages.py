@@ -49,8 +49,7 @@ def write_calibration_report(c: TrackerCalibration, folder: Path, hashes: dict[s
         made_from(hashes),
     ]
     report = Report("Calibration of a robot", title, calibration_headline(c, view), c.notices, sections)
-    report.write_page(folder / "report.html")
-    report.write_pdf(folder / "report.pdf")
+    report.write(folder)
 
 
 def calibration_headline(c: TrackerCalibration, view: ReadingsView) -> Headline:

@@ -5,29 +5,29 @@ On the page the panels are small SVG of their own, so that pointing at one can m
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from markupsafe import Markup
-from matplotlib.axes import Axes
 
 from ocp.plan.grades import SHARED
 from ocp.plan.passes.stretches import LeftOut
 from ocp.plan.report.plan_report import PassReport, PlanReport
-from ocp.report.parts import Facts, Plot, Table, table
-from ocp.report.plotting import Canvas, dressed, envelope, panels
+from ocp.report.paper import picture
+from ocp.report.parts import Facts, Table, table
+from ocp.report.plotting import envelope
 from ocp.report.section import Part, Section
-from ocp.report.sheets import Sheets
-from ocp.report.style import CURVE, SOFT, TARGET
+from ocp.report.style import CURVE, RULE, SOFT, TARGET
 from robots.pose import Array
 
 MAX_POINTS = 400
-"""Points drawn of one pass on the page; a panel is about 400 pixels wide."""
-PANEL_ROW = 0.94
-"""Inch on a sheet of a row of two panels: about 16 mm high each, enough to read a tenth of the axis."""
-BESIDE_ROWS = 0.8  # inch of caption and edges beside the rows
-LEAST_ROWS = 4  # on a sheet that has something else above them
+"""Points drawn of one pass; a panel is about 400 pixels wide."""
+_PAPER_STYLE = (  # viewer/panels.css has the page's
+    f"text {{ fill: {SOFT}; font-size: 10px }} .y {{ text-anchor: end }} .x {{ text-anchor: middle }} .grid {{ stroke: {RULE} }} "
+    f".band {{ fill: {CURVE}; fill-opacity: 0.18 }} .curve {{ fill: none; stroke: {CURVE}; stroke-width: 1.5 }} "
+    f".target {{ stroke: {TARGET}; stroke-width: 1.2; stroke-dasharray: 5 4 }} .cursor {{ stroke: none }}"
+)
 
 
 @dataclass(frozen=True)
@@ -101,46 +101,13 @@ class ForcePanels(Part):
         """As many panels side by side as there is room for."""
         return Markup('<div class="panels wide">\n{}\n</div>').format(Markup("\n").join(map(_figure, force_panels(self.report))))
 
-    def on_sheets(self, sheets: Sheets) -> None:
-        """Two columns, over as many sheets as they take."""
-        first, count = 0, len(self.report.passes)
-        while first < count:
-            left = (count - first + 1) // 2
-            sheets.need(BESIDE_ROWS + PANEL_ROW * min(left, LEAST_ROWS))
-            last = min(first + 2 * max(int((sheets.room - BESIDE_ROWS) / PANEL_ROW + 1e-9), 1), count)
-            caption = f"In the order of the program: passes {first + 1} to {last} of {count}."
-            height = 0.5 + PANEL_ROW * ((last - first + 1) // 2)
-            draw = partial(_draw_forces, self.report, self.report.passes[first:last])
-            Plot(f"force-{first}", caption, height, draw).on_sheets(sheets)
-            first = last
-
-    def beginning(self) -> float:
-        """The first rows."""
-        return BESIDE_ROWS + PANEL_ROW * min((len(self.report.passes) + 1) // 2, LEAST_ROWS)
-
-
-def _draw_forces(report: PlanReport, group: Sequence[PassReport], canvas: Canvas) -> None:
-    rows = (len(group) + 1) // 2
-    axes = [ax for row in panels(canvas, rows, 2, down=0.3, across=0.3, bottom=0.3, sharex=True, sharey=True) for ax in row]
-    for ax, item in zip(axes, group, strict=False):
-        _draw_force(ax, item, report.target_force)
-    axes[0].set_xlim(0, _longest(report))
-    axes[0].set_ylim(*force_range(report))
-    for ax in axes[len(group) :]:
-        ax.set_visible(False)
-    # Shared axes print their numbers in the lowest row only; an odd last row leaves one column without.
-    for ax in axes[max(len(group) - 2, 0) : len(group)]:
-        ax.tick_params(labelbottom=True)
-
-
-def _draw_force(ax: Axes, item: PassReport, target: float) -> None:
-    s = 1e3 * np.asarray(item.s, float)
-    ax.fill_between(s, item.force - 2 * item.force_sd, item.force + 2 * item.force_sd, color=CURVE, alpha=0.18, lw=0)
-    ax.axhline(target, color=TARGET, lw=0.8, dashes=(4, 3))
-    ax.plot(*envelope(s, item.force), color=CURVE)
-    ax.locator_params(axis="y", nbins=4)
-    dressed(ax, f"Line {item.line}, {item.side}")
-    ax.set_title(_figures(item), fontsize=6.5, color=SOFT, loc="right", pad=3)
+    def on_paper(self) -> dict[str, Any]:
+        """Two columns, in the order of the program."""
+        shown = []
+        for one, item in zip(force_panels(self.report), self.report.passes, strict=True):
+            svg = str(_svg(one)).replace(">", f"><style>{_PAPER_STYLE}</style>", 1)
+            shown.append({"title": f"Line {one.line}, {one.side}", "note": _figures(item), **picture(svg)})
+        return {"is": "panels", "panels": shown}
 
 
 def _figures(item: PassReport) -> str:
@@ -181,13 +148,14 @@ def force_panels(report: PlanReport) -> tuple[ForcePanel, ...]:
     for index, item in enumerate(report.passes):
         pick = np.linspace(0, len(item.s) - 1, min(len(item.s), MAX_POINTS)).round().astype(int)
         x, force, sd = across(1e3 * item.s[pick]), item.force[pick], item.force_sd[pick]
+        s, peaks = envelope(1e3 * item.s, item.force, MAX_POINTS // 2)
         panels.append(
             ForcePanel(
                 index=index,
                 line=int(item.line),
                 side=item.side,
                 band=_band_path(x, up(force + 2 * sd), up(force - 2 * sd)),
-                curve=_path(x, up(force)),
+                curve=_path(across(s), up(peaks)),
                 target=round(float(up(np.array(report.target_force))), 1),
                 x_ticks=tuple((round(float(across(t)), 1), f"{t:g}") for t in nice_ticks(0, longest, 5)),
                 y_ticks=tuple((round(float(up(t)), 1), f"{t:.{decimals}f}") for t in y_ticks),
@@ -212,19 +180,24 @@ def _longest(report: PlanReport) -> float:
 
 
 def _figure(panel: ForcePanel) -> Markup:
-    """A panel as HTML. Only numbers are put into paths; words are escaped."""
+    """A panel as HTML."""
+    words = Markup('<figcaption><b>Line {}</b> {} <span class="pointed"></span></figcaption>').format(panel.line, panel.side)
+    return Markup("<figure>\n{}\n{}\n</figure>").format(words, _svg(panel))
+
+
+def _svg(panel: ForcePanel) -> Markup:
+    """Only numbers are put into paths; words are escaped."""
     right = PANEL.width - PANEL.right
     grid = Markup('<line class="grid" x1="{}" x2="{}" y1="{}" y2="{}"/><text class="y" x="{}" y="{}">{}</text>')
     y_ticks = (grid.format(PANEL.left, right, y, y, PANEL.left - 5, y + 3.5, label) for y, label in panel.y_ticks)
     x_ticks = (Markup('<text class="x" x="{}" y="{}">{}</text>').format(x, PANEL.height - 6, label) for x, label in panel.x_ticks)
     return Markup(
-        '<figure>\n<figcaption><b>Line {line}</b> {side} <span class="pointed"></span></figcaption>\n'
         '<svg viewBox="0 0 {size.width} {size.height}" data-pass="{index}" role="img" aria-label="Force along line {line}">\n'
         '{y_ticks}\n{x_ticks}\n<path class="band" d="{band}"/>'
         '<line class="target" x1="{size.left}" x2="{right}" y1="{target}" y2="{target}"/><path class="curve" d="{curve}"/>'
-        '<line class="cursor" x1="-9" x2="-9" y1="{size.top}" y2="{foot}"/>\n</svg>\n</figure>'
+        '<line class="cursor" x1="-9" x2="-9" y1="{size.top}" y2="{foot}"/>\n</svg>'
     ).format(
-        **{name: getattr(panel, name) for name in ("index", "line", "side", "band", "curve", "target")},
+        **{name: getattr(panel, name) for name in ("index", "line", "band", "curve", "target")},
         size=PANEL,
         right=right,
         foot=PANEL.height - PANEL.bottom,
