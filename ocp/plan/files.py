@@ -24,7 +24,7 @@ from ocp.shell.processes import cores, side_by_side
 from ocp.shell.progress import Phases
 from trajectories.dialects import dialect_named
 
-PACKAGES = ("casadi", "pin", "numpy", "scipy", "toppra", "matplotlib", "trimesh", "netgen-mesher", "pytetwild")
+PACKAGES = ("casadi", "pin", "numpy", "scipy", "toppra", "matplotlib", "trimesh", "netgen-mesher", "pytetwild", "typst")
 
 
 @dataclass(frozen=True)

@@ -3,6 +3,7 @@
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -221,7 +222,7 @@ class Linearisation:
     stack: Stack
     pool: CandidatePool
 
-    @property
+    @cached_property
     def index(self) -> dict[Name, int]:
         """Family by name."""
         return {f.name: i for i, f in enumerate(self.pool.families)}
