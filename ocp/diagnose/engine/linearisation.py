@@ -257,10 +257,9 @@ class Linearisation:
         C, scale = np.hstack([self.pool.columns(m) for m in weighed.members]), np.concatenate([f.scale for f in families])
         a = scale * linear_step(self.pool.y, C, np.zeros(len(scale)), np.ones(len(scale)), RANK).change
         covariance = np.asarray(np.linalg.inv(np.eye(len(scale)) + C.T @ C) * np.outer(scale, scale))
-        found, blocks = list[Active](), np.split(np.arange(len(scale)), np.cumsum([len(f.scale) for f in families])[:-1])
-        for m, f, k in zip(weighed.members, families, blocks, strict=True):
-            if f.effect is not None:
-                found.append(Active(f.effect, f.name.joint, a[k], f.scans[m.variant], covariance[np.ix_(k, k)]))
+        blocks = np.split(np.arange(len(scale)), np.cumsum([len(f.scale) for f in families])[:-1])
+        rows = [(m, f, k, f.effect) for m, f, k in zip(weighed.members, families, blocks, strict=True)]
+        found = [Active(e, f.name.joint, a[k], f.scans[m.variant], covariance[np.ix_(k, k)]) for m, f, k, e in rows if e is not None]
         return tuple(sorted(found, key=lambda one: one.key))
 
     def variants(self, weighed: Weighed, name: Name) -> tuple[Member, tuple[Member, ...], Array]:
