@@ -259,7 +259,7 @@ class Linearisation:
         covariance = np.asarray(np.linalg.inv(np.eye(len(scale)) + C.T @ C) * np.outer(scale, scale))
         blocks = np.split(np.arange(len(scale)), np.cumsum([len(f.scale) for f in families])[:-1])
         rows = [(m, f, k, f.effect) for m, f, k in zip(weighed.members, families, blocks, strict=True)]
-        found = [Active(e, f.name.joint, a[k], f.scans[m.variant], covariance[np.ix_(k, k)]) for m, f, k, e in rows if e is not None]
+        found = [Active(e, f.name.joint, a[k], f.scans[m.variant], covariance[np.ix_(k, k)]) for m, f, k, e in rows if e]
         return tuple(sorted(found, key=lambda one: one.key))
 
     def variants(self, weighed: Weighed, name: Name) -> tuple[Member, tuple[Member, ...], Array]:
