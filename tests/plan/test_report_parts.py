@@ -1,10 +1,12 @@
 """The parts behind the report: colour on the surface, tables, ticks, curves; and the page's own arithmetic."""
 
 import json
+import re
 import shutil
 import subprocess
 from dataclasses import replace
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -12,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ocp.plan.report.axes import limit_rows, limit_table
-from ocp.plan.report.force import decimals_of, force_panels, nice_ticks, pass_table
+from ocp.plan.report.force import MAX_POINTS, ForcePanels, decimals_of, force_panels, nice_ticks, pass_table
 from ocp.plan.report.plan_report import PassReport, PlanReport
 from ocp.plan.report.quantities import QUANTITIES, colour_range, common_distance, quantity
 from ocp.plan.report.surface import cluster_vertices, paint_blade, pass_spacing, refine_near
@@ -116,6 +118,28 @@ def test_force_panels_share_one_scale_and_break_at_gaps(report):
     gap[10] = np.nan
     broken = force_panels(replace(report, passes=(replace(report.passes[0], force=gap), *report.passes[1:])))[0]
     assert (panels[0].curve.count("M"), broken.curve.count("M"), broken.curve.count("L")) == (1, 2, 27)
+
+
+def test_force_panels_keep_every_peak():
+    """Between the points that are drawn of a long pass a knock would be lost."""
+    long = example_report(lines=2, count=5000, frames=20)
+    force = long.passes[0].force.copy()
+    force[2345] = force.max() + 3.0
+    panel = force_panels(replace(long, passes=(replace(long.passes[0], force=force), *long.passes[1:])))[0]
+    heights = [float(y) for y in re.findall(r"[ML][\d.]+ ([\d.]+)", panel.curve)]
+    assert len(heights) <= MAX_POINTS and min(heights) < np.median(heights) - 30.0
+
+
+def test_panels_on_paper_are_those_of_the_page(report):
+    shown, panels = ForcePanels(report).on_paper()["panels"], force_panels(report)
+    assert [one["title"] for one in shown] == [f"Line {p.line}, {p.side}" for p in panels]
+    for one, panel, item in zip(shown, panels, report.passes, strict=True):
+        drawn = ElementTree.fromstring(one["picture"])  # a whole file: its name spaces are said
+        paths = {path.get("class"): path.get("d") for path in drawn.iter("{http://www.w3.org/2000/svg}path")}
+        assert paths == {"band": panel.band, "curve": panel.curve}
+        styled = set(re.findall(r"\.(\w+) {", drawn.findtext("{http://www.w3.org/2000/svg}style")))
+        assert {part.get("class") for part in drawn.iter() if part.get("class")} <= styled
+        assert f"{item.force.min():.2f} to {item.force.max():.2f} N" in one["note"]
 
 
 def test_contact_spans_are_the_passes_in_time(report):
