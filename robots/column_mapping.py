@@ -55,7 +55,8 @@ UNITS: dict[str, dict[str, float]] = {
 ZERO = {"K": -273.15, "F": -160.0 / 9.0}  # deg C at zero of the scale
 APPROACH, MOVED = "approach", 0.01  # deg: less is no motion of an axis
 STEPS = {"step_deg": 1.0, "step_rad": 180.0 / np.pi}
-OTHERS = ("target", "payload", "session", "station", "run", "contact", "load_link")  # columns without a unit
+NAMES = ("target", "payload", "session", "station", "run")  # columns of words
+OTHERS = (*NAMES, "contact", "load_link")  # columns without a unit
 SEALED = "sealed "
 SEPARATORS = (",", ";", "\t", "|", " ")
 
@@ -229,8 +230,9 @@ def _check_column(path: Path, name: str, column: MappedColumn) -> None:
     if column.unit is not None and column.unit not in units and not dated:
         known = f"give one of {', '.join(units)}" if units else "it has none; leave the key out"
         raise BadInput(f"{path}: {name}.unit = '{shown(column.unit)}' is no unit of {name}; {known}")
-    if dated and (column.offset or column.sign != (1.0,)):
-        raise BadInput(f"{path}: {name} is of dates, which have no sign and no offset; leave these keys out")
+    if (dated or name in NAMES) and (column.offset or column.sign != (1.0,)):
+        kind = "dates" if dated else "words"
+        raise BadInput(f"{path}: {name} is of {kind}, which have no sign and no offset; leave these keys out")
 
 
 def _check_steps(path: Path, columns: dict[str, MappedColumn]) -> None:

@@ -113,6 +113,14 @@ def test_a_mapping_that_does_not_fit_is_refused(tmp_path, old, new, said):
             readings(tmp_path, MAPPING.replace(old, new))
 
 
+@pytest.mark.parametrize("key", ["sign = -1", "offset = 5"])
+def test_words_have_no_sign_and_no_offset(tmp_path, key):
+    """They would have been left out without a word."""
+    (tmp_path / "m.toml").write_text(f'payload = {{ from = "load", {key} }}\n')
+    with pytest.raises(BadInput, match="payload is of words, which have no sign and no offset; leave these keys out"):
+        read_column_mapping(tmp_path / "m.toml")
+
+
 def test_a_file_of_ours_beside_theirs_keeps_its_columns(tmp_path):
     (tmp_path / "m.toml").write_text('q1_deg = { from = "j1", unit = "rad" }\nrun = { from = "pass" }\n')
     (tmp_path / "t.csv").write_text("run,q1_deg\nA,90\n")
