@@ -103,12 +103,17 @@ def scatter_by_joint(off: Array, readings: Readings, instrument: Instrument, noi
     def least(shown: list[int], begin: Array) -> tuple[Array, float]:
         """Logarithms of the noises of these parts, and twice that of the likelihood, negative."""
 
-        def unlikely(logs: Array) -> float:
-            covariance = consistency(3) * np.tensordot(np.exp(2.0 * logs), parts[shown], 1)
-            squared = np.einsum("ni,ni->n", off, np.linalg.solve(covariance, off[..., None])[..., 0])
-            return float(np.sum((NU + 3) * np.log1p(squared / NU)) + np.linalg.slogdet(covariance)[1].sum())
+        def unlikely(logs: Array) -> tuple[float, Array]:
+            scale = consistency(3) * np.exp(2.0 * logs)
+            covariance = np.tensordot(scale, parts[shown], 1)
+            inverse = np.linalg.inv(covariance)
+            w = np.einsum("nij,nj->ni", inverse, off)
+            squared = np.einsum("ni,ni->n", off, w)
+            value = np.sum((NU + 3) * np.log1p(squared / NU)) + np.linalg.slogdet(covariance)[1].sum()
+            slope = inverse - ((NU + 3) / (NU + squared))[:, None, None] * w[:, :, None] * w[:, None, :]  # in the covariance
+            return float(value), 2.0 * scale * np.tensordot(parts[shown], slope, 3)
 
-        found = minimize(unlikely, begin, method="L-BFGS-B", bounds=searched[: len(shown)])
+        found = minimize(unlikely, begin, method="L-BFGS-B", jac=True, bounds=searched[: len(shown)])
         return found.x, float(found.fun)
 
     usual, alike = least([0, 1], np.log([1.0, noise.joints]))
