@@ -323,6 +323,15 @@ def test_kernel_tests_are_f_tests_of_least_squares():
     assert told.p_value == pytest.approx(f_law.sf(ratio, m, pool.freedom - m), rel=1e-6)
 
 
+def test_a_kernel_that_follows_whatever_few_readings_say_tests_nothing():
+    channel, _ = wave_channel(77)
+    problem = linearised([channel], {"e0": effect("e0")}, Options())
+    told = {t.where: t for t in kernel_tests(problem, given(problem.pool, []))}
+    taken = np.linalg.matrix_rank(next(x for x in problem.pool.families if x.where == "q3 x q1").columns.reshape(720, -1))
+    few = kernel_tests(replace(problem, pool=replace(problem.pool, freedom=int(taken))), given(problem.pool, []))
+    assert "q3 x q1" in told and "q3 x q1" not in {t.where for t in few} and all(0.0 <= t.p_value <= 1.0 for t in few)
+
+
 def test_posterior_covers():
     inside = 0
     for seed in range(400):

@@ -12,7 +12,7 @@ from ocp.diagnose.foresee.anticipated import remaining
 from ocp.diagnose.rules import LINES_A_GEAR, QUIET
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.diagnose.tracker.held_out import placed_stands, tracker_folds
-from ocp.diagnose.tracker.refit import believed_baseline, link_torques, reliability, settled, weighed_links
+from ocp.diagnose.tracker.refit import RANK, believed_baseline, link_torques, reliability, settled, weighed_links
 from ocp.diagnose.verdict import diagnosis
 from ocp.diagnose.verdict.answer import Remaining
 from ocp.diagnose.verdict.diagnosis import _scattering, cancelling, diagnose_channels, implausible
@@ -402,6 +402,27 @@ def test_linear_folds_are_as_good_as_nonlinear_refits():
     slow = np.mean(np.sum(there.residual[fold.held] ** 2, axis=1))
     assert quick is not None and np.sqrt(quick.means[1]) == pytest.approx(np.sqrt(slow), abs=2e-6)
     assert quick.means[0] > 2 * quick.means[1]
+
+
+def test_what_the_believed_arm_is_off_by_in_a_fold_meets_both_errors():
+    """One sd of what it does to the means apart: the left-out readings moved along each direction that the rest leaves open."""
+    c = channel(world(4, PLANTED["gear_2x:3"])[0]).with_active((Active(LIBRARY["gear_2x"], 3, np.zeros(2), {}, np.eye(2)),))
+    fold = next(f for f in c.folds() if f.kind == "payload")
+    sd, linear, rest = c.task.layout.prior_sd, c.fit.linear, ~np.asarray(fold.held)
+    scale = np.where(np.isfinite(sd), sd, c.task.layout.scale)
+    A = (c.fit.W[rest] @ linear.J[rest]).reshape(-1, len(sd)) * scale
+    open_ = scale[:, None] * np.linalg.pinv(np.vstack([A, np.diag(np.isfinite(sd).astype(float))]), rcond=RANK)
+
+    def difference(u):
+        moved = replace(linear, residual=linear.residual + np.where(rest[:, None], 0.0, linear.J @ u))
+        before, after, _ = replace(c, fit=replace(c.fit, linear=moved)).held_out(fold, c.active).means
+        return before - after
+
+    found = c.held_out(fold, c.active)
+    U, s, _ = np.linalg.svd(open_, full_matrices=False)
+    slopes = [difference(u) - difference(0.0 * u) for u in (U * s).T[s > 1e-12 * s[0]]]
+    assert found.shared == pytest.approx(np.linalg.norm(slopes), rel=1e-3) and found.shared > 0.0
+    assert c.held_out(fold, ()).shared < 1e-4 * found.shared  # nothing differs
 
 
 def ripple(r):

@@ -83,10 +83,14 @@ def held_out_readings(
     )
     before, after = (placed_stands(task, fit, errors, own)[rows] for errors, _ in (without, with_effects))
     # Not of the coefficients alone: an effect that the springs nearly imitate has large errors that these take back.
-    added_by_effects = float((with_effects[1] - without[1])[rows].mean())
+    unknown, more = (np.einsum("nip,nip->n", some, some)[rows] for _, some in (without, with_effects))
+    added_by_effects = float((more - unknown).mean())
+    # Both errors hold what the believed cell is off by there, J u: their squares differ by 2 J u (before - after) for it,
+    # whatever the effects.
+    shared = 2.0 * np.einsum("ni,nip->p", before - after, without[1][rows]) / len(rows)
     S = reading_covariance(r.take(rows), task.campaign.instrument, gap_noise(fit.noise), fit.linear.d_joints[rows])
     squares = np.stack([np.sum(before**2, axis=1), np.sum(after**2, axis=1), np.trace(S, axis1=1, axis2=2)])
-    return HeldOut(fold, squares, max(added_by_effects, 0.0))
+    return HeldOut(fold, squares, max(added_by_effects, 0.0), float(np.linalg.norm(shared)))
 
 
 def placed_stands(task: Task, fit: TrackerFit, errors: Array, own: Sequence[Index]) -> Array:
@@ -110,7 +114,7 @@ def added(active: Sequence[Active], seen: PlacedReadings, fit: TrackerFit) -> tu
 
 def _solved(task: Task, fit: TrackerFit, residual: Array, J: Array, prior: Array, train: Array) -> tuple[Array, Array]:
     """Errors (n, 3) m of all readings after the linear fit to `train` with derivatives J (n, 3, p), effects' last with their
-    `prior`, and mean squares (n,) m^2 that the errors of all unknowns leave there."""
+    `prior`, and root (n, 3, r) m of what the errors of all unknowns leave there: times unit normals of r directions."""
     layout = task.layout
     sd = np.concatenate([layout.prior_sd, prior])
     offset = np.concatenate([np.where(np.isfinite(layout.prior_sd), fit.offset, 0.0), np.zeros(len(prior))])
@@ -118,8 +122,8 @@ def _solved(task: Task, fit: TrackerFit, residual: Array, J: Array, prior: Array
     A = (fit.W[train] @ J[train]).reshape(-1, len(sd)) * scale
     y = np.einsum("nij,nj->ni", fit.W[train], residual[train]).ravel()
     found = linear_step(y, A, offset / scale, np.isfinite(sd).astype(float), RANK)
-    left = np.einsum("nim,mk,nik->n", J * scale, found.covariance, J * scale, optimize=True)
-    return np.asarray(residual - J @ (scale * found.change)), np.asarray(left)
+    assert found.root is not None  # by singular values
+    return np.asarray(residual - J @ (scale * found.change)), np.asarray((J * scale) @ found.root)
 
 
 def predict_sealed_readings(
