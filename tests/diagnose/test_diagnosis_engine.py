@@ -9,6 +9,7 @@ from scipy.stats import f as f_law
 from scipy.stats import gamma, kstest, multivariate_t, norm
 
 from ocp.diagnose.engine import search as engine_search
+from ocp.diagnose.engine import selection
 from ocp.diagnose.engine.beam import Search, Weighed, weigh
 from ocp.diagnose.engine.channel_system import UNSEEN, ReadingConditions
 from ocp.diagnose.engine.evidence import Tails, log_evidence, project, size_grid
@@ -297,6 +298,20 @@ def test_kernels_speak_for_what_nobody_catalogued():
     assert d.location is not None and d.location.joint == 3
     assert set(d.location.depends_on) == {"q3", "q1"}
     assert d.budget[0].share > 0.5
+
+
+def test_names_selected_for_what_a_kernel_follows_are_dropped_beside_it(monkeypatch):
+    channel, _ = wave_channel(2, amplitude=8.0)
+    q, rng = channel.conditions.q, np.random.default_rng(1)
+    shape = np.zeros((120, 6))
+    shape[:, 2] = np.cos(2 * q[:, 2]) * np.sin(2 * q[:, 0])
+    names = {f"e{k}": effect(f"e{k}", prior_sd=(4.0,)) for k in range(4)}
+    columns = {(n, 0): (shape.ravel() + 0.5 * rng.normal(size=720))[None, :, None] for n in names}
+    partly = tuple(Active(e, 0, np.array([2.0]), {}, np.eye(1)) for e in names.values())
+    monkeypatch.setattr(selection, "select_on_held_out", lambda *_, **__: selection.SelectedEffects(partly, (), ()))
+    problem, search, _ = selection.select_effects(replace(channel, columns=columns), names, Options())
+    best = [str(problem.pool.families[f].name) for f in search.best()[0]]
+    assert len(best) == 1 and best[0].startswith("?tracker/"), best
 
 
 def test_kernel_p_values_are_uniform():

@@ -9,12 +9,14 @@ import numpy as np
 import pytest
 
 from ocp.diagnose.engine.beam import Search
+from ocp.diagnose.engine.channel_system import Sealed
 from ocp.diagnose.engine.findings import Alternative, Name, Options
 from ocp.diagnose.engine.kernels import conditions_by_name, kernels
 from ocp.diagnose.engine.linearisation import linearised
 from ocp.diagnose.foresee.patched import beside_unknown, patched, unnamed, with_patch
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.diagnose.tracker.refit import believed_baseline
+from ocp.diagnose.verdict.answer import Remaining
 from ocp.diagnose.verdict.diagnosis import diagnose_channels
 from ocp.diagnose.verdict.patching import as_patch, patches_of, seen_by
 from ocp.diagnose.verdict.shrinkage import Shrinkage
@@ -115,6 +117,16 @@ def test_beyond_what_was_measured_a_patch_is_written_where_left_out_readings_say
     for asked in (True, False):
         monkeypatch.setattr("ocp.diagnose.foresee.patched.modelled", lambda *_, asked=asked: (good, asked))
         assert (patched(found, None, object()) is not None) == (written or not asked)
+
+
+def test_what_a_patch_surely_leaves_above_the_noise_is_in_its_sigma(monkeypatch):
+    """A play that fades along its axis is followed to 0.08 mm, with readings that scatter by as much more than the noise."""
+    monkeypatch.setattr("ocp.diagnose.foresee.patched.beyond", lambda *_: (np.zeros((4, 1)), np.ones(4, bool)))
+    monkeypatch.setattr("ocp.diagnose.foresee.patched.remaining", lambda *_: Remaining(8e-5, 1e-9))
+    told = Sealed(np.zeros((4, 3)), np.zeros((4, 3)), np.full((4, 3), 2e-5))
+    found = SimpleNamespace(channel=SimpleNamespace(active=(), predict=lambda *_: told), others=(), patches=())
+    square = with_patch(told, found, None).patched_sigma ** 2
+    np.testing.assert_allclose(square, 2e-5**2 + 8e-5**2 / 3)
 
 
 def test_a_program_has_nothing_of_what_settles(clean):

@@ -158,8 +158,7 @@ def smallest_seen(
     beside = others if rival is not None and rival.beside else None
     # What physics holds positive has a half-normal prior, twice as dense where it is.
     each = odds - float(np.log(among)) + int(positive_of(effect).sum()) * float(np.log(2.0))
-    price = visible_lambda(energy, effect.size, sizes, each, rival, beside)
-    return float(np.sqrt(price / max(energy, 1e-12)))
+    return float(np.sqrt(visible_lambda(energy, effect.size, sizes, each, rival, beside) / max(energy, 1e-12)))
 
 
 def has_twin(effect: Effect, joint: int, scans: Sequence[Scanned], among: int = 0) -> bool:

@@ -232,13 +232,16 @@ def select_effects(
     search = Search(problem.pool, max(options.most, len(found.active)) + 1, options.beam)
     names = frozenset(problem.index[Name(*a.key)] for a in found.active)
     search.add(names)
-    for family in names:  # what each is worth beside the others
-        search.add(names - {family})
     there = search.sets.get(names, NOTHING)
     gain = np.where(search.kernel, search.scan(there).log + search.odds, -np.inf)
-    for k in np.argsort(-gain)[: rules.KERNELS_BESIDE]:
-        if np.isfinite(gain[k]):
-            search.add(names | {int(k)}, there.members)
-            for family in names:
-                search.add((names - {family}) | {int(k)}, there.members)
+    kernels = [int(k) for k in np.argsort(-gain)[: rules.KERNELS_BESIDE] if np.isfinite(gain[k])]
+    for key in [names, *(names | {k} for k in kernels)]:
+        search.add(key, there.members)
+        for family in names:  # what each is worth beside the others
+            search.add(key - {family}, there.members)
+    count = 0
+    while count < len(search.sets):  # beside a kernel what followed it in part is often worth nothing, one after another
+        count, best = len(search.sets), search.best()[0]
+        for family in names & best:
+            search.add(best - {family}, there.members)
     return problem, search, refused

@@ -135,8 +135,7 @@ class ForceChannel:
     @property
     def noise_floor(self) -> float:
         """Rms of the normal reading's noise, gross readings apart, N."""
-        sigma = self.fit.whiteners[0].noise.sigma()[self.log.contact]
-        return float(np.sqrt(np.mean(sigma**2)))
+        return float(np.sqrt(np.mean(self.fit.whiteners[0].noise.sigma()[self.log.contact] ** 2)))
 
     @property
     def scatters(self) -> str:

@@ -133,5 +133,4 @@ def logged_arm(cell: Cell, theta: Array, q: Array, c: LogConditions) -> LoggedAr
     rows = arm_rows(cell.robot, parameters, inputs, names, hung, c.approach, c.warm, clock, c.speed)
     flange = rows.block("frames").reshape(-1, 7, 3, 4)[:, 6]
     place = cell.workpiece.T_flange_blade[:3, 3] + theta[list(BLADE[:3])]
-    origin = flange[:, :, 3] + flange[:, :, :3] @ place
-    return LoggedArm(rows, origin, flange[:, :, :3])
+    return LoggedArm(rows, flange[:, :, 3] + flange[:, :, :3] @ place, flange[:, :, :3])

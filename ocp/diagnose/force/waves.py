@@ -160,8 +160,7 @@ def _holds(period: Wave, wave: Wave) -> bool:
     one, other = (w.where.replace("period", "wave").replace("knocks", "wave") for w in (period, wave))
     if one != other or period.columns.shape[1] <= wave.columns.shape[1]:
         return False
-    Q = np.linalg.qr(period.columns)[0]
-    return bool(np.sum((Q.T @ wave.columns) ** 2) > 0.5 * np.sum(wave.columns**2))
+    return bool(np.sum((np.linalg.qr(period.columns)[0].T @ wave.columns) ** 2) > 0.5 * np.sum(wave.columns**2))
 
 
 def _kinds(problem: ForceProblem, fit: EffectFit) -> Iterator[tuple[str, Array, Array, float]]:

@@ -14,7 +14,7 @@ import numpy as np
 from ocp.diagnose.engine.channel_system import Channel, Scattering, Sealed
 from ocp.diagnose.engine.findings import Alternative, Diagnosis, summing_to
 from ocp.diagnose.engine.kernels import conditions_by_name
-from ocp.diagnose.foresee.anticipated import kinds_beyond, modelled
+from ocp.diagnose.foresee.anticipated import kinds_beyond, modelled, remaining
 from ocp.diagnose.foresee.planned_tracker import channel_about
 from ocp.diagnose.rules import CARRIED_PATCH, LEADS
 from ocp.diagnose.tracker.channel import TrackerChannel
@@ -156,12 +156,14 @@ def predictions(channel: Channel, sealed: Any, listed: Sequence[Alternative]) ->
 
 
 def with_patch(told: Sealed, found: Patched, sealed: Any) -> Sealed:
-    """Predictions with those of the patch beside them; sigma holds what may stand in its place, and what it leaves open."""
+    """Predictions with those of the patch beside them; sigma holds what may stand in its place, what it leaves open, and what
+    surely stays above the noise of the readings that it was fitted to: a patch follows the unknown no closer elsewhere."""
     main = found.channel.predict(sealed, found.channel.active)
     variance = main.sigma**2
     for probability, other in predictions(found.channel, sealed, found.others):
         variance = variance + probability * (other.corrected - main.corrected) ** 2
     open_, inside = beyond(found.channel, found.patches, sealed)
+    stays = remaining(found.channel, ()).above_noise ** 2 / main.sigma.shape[1]
     lacking = tuple(one.effect.title for one in found.patches if one.effect.name in main.lacking)
     told = replace(told, lacking=(*told.lacking, *lacking))
-    return replace(told, patched=main.corrected, patched_sigma=np.sqrt(variance + open_), inside=inside)
+    return replace(told, patched=main.corrected, patched_sigma=np.sqrt(variance + open_ + stays), inside=inside)

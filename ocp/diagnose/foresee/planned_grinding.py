@@ -96,8 +96,7 @@ class Shared:
     def variants(self, effect: Effect, joint: int, scans: Sequence[Scanned] | None = None) -> Variants:
         """As the channel's, in these rows."""
         found, columns = self.channel.variants(effect, joint, scans)
-        own = [self._own.apply(columns[:, v]) for v in range(len(found))]
-        return (found, np.stack(own, axis=1)) if found else UNSEEN
+        return (found, np.stack([self._own.apply(columns[:, v]) for v in range(len(found))], axis=1)) if found else UNSEEN
 
     def _rows(self, both: Sequence[Array]) -> Array:
         averages = self.channel.averages

@@ -55,8 +55,7 @@ def unlike(shared: Sequence[ReadingRows], pair: RivalPair, beside: Sequence[Read
     cuts = np.cumsum([first, *sizes[len(shared) :]])[:-1] if shared else np.cumsum(sizes)[:-1]
 
     def free(columns: Array) -> Array:
-        parts = np.split(columns, cuts)
-        return np.concatenate([p.apply(part) for p, part in zip(projections, parts, strict=True)])
+        return np.concatenate([p.apply(part) for p, part in zip(projections, np.split(columns, cuts), strict=True)])
 
     left = free(put_back(every, [pair.first.active]))
     if pair.rival is None:

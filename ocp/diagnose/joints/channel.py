@@ -414,8 +414,7 @@ class JointChannel:
         runs = self.problem.signals.log.runs
         zero = [self.theta[[self.problem.nuisance.names.index(offset_of(int(j), name)) for name in runs]] for j in joints]
         spread = np.array([z.std(ddof=1) if len(z) > 1 else 0.0 for z in zero])
-        unknown = np.array([name not in runs for name in log.runs])
-        return np.asarray(unknown[log.run][:, None] * spread)
+        return np.asarray(np.array([name not in runs for name in log.runs])[log.run][:, None] * spread)
 
 
 def rubbing(nuisance: EncoderNuisance) -> Mask:

@@ -226,8 +226,7 @@ def _rested(task: Task, fit: TrackerFit) -> TrackerFit:
 
 def freedom_used(layout: Layout, fit: TrackerFit) -> float:
     """Degrees of freedom that the readings, not the priors, take up."""
-    prior = np.concatenate([layout.prior_sd, prior_sds(fit.active)])
-    return float(np.sum(1.0 - np.diag(fit.covariance) / prior**2))
+    return float(np.sum(1.0 - np.diag(fit.covariance) / np.concatenate([layout.prior_sd, prior_sds(fit.active)]) ** 2))
 
 
 def with_weights(layout: Layout, campaign: Campaign) -> Layout:
