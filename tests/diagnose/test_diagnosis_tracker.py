@@ -8,6 +8,7 @@ import pytest
 from ocp.calibrate.tracker import as_in
 from ocp.diagnose.engine.findings import Name, Options
 from ocp.diagnose.engine.linearisation import linearised
+from ocp.diagnose.engine.pool import given
 from ocp.diagnose.foresee.anticipated import remaining
 from ocp.diagnose.rules import LINES_A_GEAR, QUIET
 from ocp.diagnose.tracker.channel import TrackerChannel
@@ -16,6 +17,7 @@ from ocp.diagnose.tracker.refit import RANK, believed_baseline, link_torques, re
 from ocp.diagnose.verdict import diagnosis
 from ocp.diagnose.verdict.answer import Remaining
 from ocp.diagnose.verdict.diagnosis import _scattering, cancelling, diagnose_channels, implausible
+from ocp.diagnose.verdict.location import kernel_tests
 from ocp.effects.catalogue import library
 from ocp.effects.effect import Active
 from ocp.effects.engine.evaluate import arm_shift
@@ -311,6 +313,20 @@ def test_a_scatter_that_is_even_was_looked_at_all_the_same(monkeypatch):
     monkeypatch.setattr(f"{remaining.__module__}._of_tracker", lambda channel: Remaining(0.0, 1e-3))
     even = channel(world(27)[0])
     assert even.uneven is None and remaining(even, ()).p_value == pytest.approx(2e-3)
+
+
+def test_what_a_kernel_would_take_is_its_share_of_the_gap(monkeypatch):
+    """A frame that swings by 0.1 mm, all over time; noise of joints that stands for it is no measure of its size."""
+    monkeypatch.setattr(f"{remaining.__module__}._of_tracker", lambda channel: Remaining(0.0, 1.0))
+
+    def swing(r):
+        return 1.2e-4 * np.stack([np.sin(r.time / 1200), np.cos(r.time / 900), np.sin(r.time / 1700 + 1)], axis=1)
+
+    c = channel(world(4, moved=swing)[0])
+    problem = linearised([c], {}, Options())
+    left = remaining(c, kernel_tests(problem, given(problem.pool, ())))
+    gap = float(np.sqrt(np.mean(np.sum(c.gap() ** 2, axis=1))))
+    assert 0.8 * gap < left.above_noise < gap and left.p_value < 1e-20
 
 
 @pytest.mark.parametrize("far", [1.0, 4.0])

@@ -80,8 +80,8 @@ def remaining(channel: Channel, tests: Sequence[KernelTest]) -> Remaining:
         told.append(Remaining(0.0, 1.0) if one is None else Remaining(one.rms * float(np.sqrt(one.share)), one.p_value))
     if own := [t for t in tests if t.channel == channel.name]:
         best = min(own, key=lambda t: t.p_value)
-        noise = channel.noise_floor / SCALE[channel.unit]
-        follows = noise * float(np.sqrt(max(best.gained, 0.0) / len(channel.system.residual)))
+        y, off = channel.system.residual, np.linalg.norm(np.atleast_2d(channel.gap()), axis=1)[counted(channel)]
+        follows = float(np.sqrt(np.mean(off**2) * np.clip(best.gained / max(float(y @ y), 1e-300), 0.0, 1.0)))
         told.append(Remaining(follows, min(1.0, best.p_value * len(own))))
     above = max((r.above_noise for r in told if r.p_value < PLACE_SURE), default=0.0)
     return Remaining(above, min(1.0, len(told) * min(r.p_value for r in told)))
