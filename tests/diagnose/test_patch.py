@@ -16,7 +16,7 @@ from ocp.diagnose.engine.linearisation import linearised
 from ocp.diagnose.foresee.patched import beside_unknown, patched, unnamed, with_patch
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.diagnose.tracker.refit import believed_baseline
-from ocp.diagnose.verdict.answer import Remaining
+from ocp.diagnose.verdict.answer import Patched, Remaining
 from ocp.diagnose.verdict.diagnosis import diagnose_channels
 from ocp.diagnose.verdict.patching import as_patch, patches_of, seen_by
 from ocp.diagnose.verdict.shrinkage import Shrinkage
@@ -24,6 +24,7 @@ from ocp.effects.cell_effects import patch_effect_of
 from ocp.effects.engine.readings import displaced, motion
 from ocp.effects.engine.symbolic import planned_arm_context
 from ocp.effects.patch import feature_factors, lengths_outside, make_patch, patch_of, patch_table
+from robots.calibration.noise import Noise
 from robots.calibration.solver import Campaign
 from robots.kinematics import chain
 from tests.diagnose.test_diagnosis_kernels import JOINTS, findings_of
@@ -119,14 +120,17 @@ def test_beyond_what_was_measured_a_patch_is_written_where_left_out_readings_say
         assert (patched(found, None, object()) is not None) == (written or not asked)
 
 
-def test_what_a_patch_surely_leaves_above_the_noise_is_in_its_sigma(monkeypatch):
-    """A play that fades along its axis is followed to 0.08 mm, with readings that scatter by as much more than the noise."""
+@pytest.mark.parametrize(("joints", "share"), [(1e-3, 1.0), (1e-6, 0.0)])
+def test_what_a_patch_surely_leaves_above_the_noise_is_in_its_sigma(clean, joints, share, monkeypatch):
+    """A play that fades along its axis is followed to 0.08 mm, and noise of joints stands for the rest; an instrument worse than
+    stated leaves as much, and nothing of it lasts."""
     monkeypatch.setattr("ocp.diagnose.foresee.patched.beyond", lambda *_: (np.zeros((4, 1)), np.ones(4, bool)))
     monkeypatch.setattr("ocp.diagnose.foresee.patched.remaining", lambda *_: Remaining(8e-5, 1e-9))
     told = Sealed(np.zeros((4, 3)), np.zeros((4, 3)), np.full((4, 3), 2e-5))
-    found = SimpleNamespace(channel=SimpleNamespace(active=(), predict=lambda *_: told), others=(), patches=())
-    square = with_patch(told, found, None).patched_sigma ** 2
-    np.testing.assert_allclose(square, 2e-5**2 + 8e-5**2 / 3)
+    monkeypatch.setattr(TrackerChannel, "predict", lambda *_: told)
+    after = replace(clean, fit=replace(clean.fit, noise=Noise(joints)))
+    square = with_patch(told, Patched(after, Shrinkage(0.5, 0.4, 0.6), ()), None).patched_sigma ** 2
+    np.testing.assert_allclose(square, 2e-5**2 + share * 8e-5**2 / 3)
 
 
 def test_a_program_has_nothing_of_what_settles(clean):

@@ -45,8 +45,7 @@ class LogAverages:
     def of_whitened(self, white: Array) -> Array:
         """Rows of the system from columns (S, n, m) that are whitened row by row."""
         short = [np.concatenate([s.blocks @ c[s.rows] for s in w.stretches]) for w, c in zip(self.whiteners, white, strict=True)]
-        fast = np.einsum("snk,snm->km", self.patterns, white)
-        return np.concatenate([*short, fast])
+        return np.concatenate([*short, np.einsum("snk,snm->km", self.patterns, white)])
 
     def variants(self, columns: Sequence[Array]) -> Array:
         """Columns (V, n, m) of each signal as rows (N, V, m)."""

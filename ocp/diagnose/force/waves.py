@@ -248,8 +248,7 @@ def _as_many(sharpness: float, gain: float) -> float:
     """Trains of a gain that fit into all rates, places and lengths: the volume of these over the posterior's (Laplace; a train
     moved by x lengths, or with a length exp(x) times as long, keeps 1 - x^2 / 2 of the gain). sharpness: standard deviation of
     the readings' times over the length's square, s."""
-    every = (RATES[1] - RATES[0]) * float(np.log(LENGTHS[1] / LENGTHS[0]))
-    return every * sharpness * (gain / (4 * np.pi)) ** 1.5
+    return (RATES[1] - RATES[0]) * float(np.log(LENGTHS[1] / LENGTHS[0])) * sharpness * (gain / (4 * np.pi)) ** 1.5
 
 
 def _scores(problem: ForceProblem, fit: EffectFit) -> Array:

@@ -18,6 +18,7 @@ from ocp.diagnose.foresee.anticipated import kinds_beyond, modelled, remaining
 from ocp.diagnose.foresee.planned_tracker import channel_about
 from ocp.diagnose.rules import CARRIED_PATCH, LEADS
 from ocp.diagnose.tracker.channel import TrackerChannel
+from ocp.diagnose.tracker.refit import usual_noise
 from ocp.diagnose.verdict.answer import Followed, Patched
 from ocp.diagnose.verdict.diagnosis import errors_of_folds
 from ocp.diagnose.verdict.patching import read_beside, unfaded, with_further
@@ -155,6 +156,16 @@ def predictions(channel: Channel, sealed: Any, listed: Sequence[Alternative]) ->
             yield one.probability, channel.predict(sealed, one.active)
 
 
+def _stays(channel: Channel) -> float:
+    """Mean square (SI^2, of the reading's size) that surely stays above the noise; of tracker readings as far as noise of joints
+    beyond the usual stands for it: of an instrument worse than stated nothing is there in what is noise-free."""
+    square = remaining(channel, ()).above_noise ** 2
+    if not isinstance(channel, TrackerChannel):
+        return square
+    more = channel.fit.noise.joints**2 - usual_noise(channel.task.repeats)[0] ** 2
+    return min(square, max(more, 0.0) * float(np.mean(np.sum(channel.fit.linear.d_joints**2, axis=(1, 2)))))
+
+
 def with_patch(told: Sealed, found: Patched, sealed: Any) -> Sealed:
     """Predictions with those of the patch beside them; sigma holds what may stand in its place, what it leaves open, and what
     surely stays above the noise of the readings that it was fitted to: a patch follows the unknown no closer elsewhere."""
@@ -163,7 +174,7 @@ def with_patch(told: Sealed, found: Patched, sealed: Any) -> Sealed:
     for probability, other in predictions(found.channel, sealed, found.others):
         variance = variance + probability * (other.corrected - main.corrected) ** 2
     open_, inside = beyond(found.channel, found.patches, sealed)
-    stays = remaining(found.channel, ()).above_noise ** 2 / main.sigma.shape[1]
+    stays = _stays(found.channel) / main.sigma.shape[1]
     lacking = tuple(one.effect.title for one in found.patches if one.effect.name in main.lacking)
     told = replace(told, lacking=(*told.lacking, *lacking))
     return replace(told, patched=main.corrected, patched_sigma=np.sqrt(variance + open_ + stays), inside=inside)

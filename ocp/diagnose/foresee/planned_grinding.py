@@ -307,8 +307,7 @@ def _after(log: ForceLog, values: Array | None, cooled: Mask) -> Array | None:
     """A temperature (n,) after the log: as at its end, as low as it ever was where the wheel has cooled."""
     if values is None:
         return None
-    last = values[-1] if log.clock is None else values[int(np.argmax(log.clock))]
-    return np.where(cooled, values.min(), last)
+    return np.where(cooled, values.min(), values[-1] if log.clock is None else values[int(np.argmax(log.clock))])
 
 
 def _ground(log: ForceLog, rows: Index, sizes: list[int], contact: Mask) -> Index | None:

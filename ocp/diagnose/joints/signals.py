@@ -115,8 +115,7 @@ def _instant_noise(log: JointLog) -> Array:
     where neighbours are not recorded."""
     third = np.diff(log.link - log.q, 3, axis=0)[log.run[3:] == log.run[:-3]] / np.sqrt(20.0)
     found = [np.abs(one[np.isfinite(one)]) for one in third.T]
-    scale = [1.4826 * np.median(one) if len(one) > FEW else np.inf for one in found]
-    return np.maximum(scale, rules.LEAST_ENCODER_NOISE)
+    return np.maximum([1.4826 * np.median(one) if len(one) > FEW else np.inf for one in found], rules.LEAST_ENCODER_NOISE)
 
 
 def _pieces(log: JointLog) -> Index:

@@ -277,8 +277,7 @@ def _place(at: Location | None) -> str:
         return f"{condition_words(at.depends_on[0])} {listed(at.segments)}"
     words = {"timing": "the timing of the recordings", "target": "a reflector nest", "link": "the links"}
     place = f"joint {at.joint}" if at.joint else words.get(at.subsystem, f"the {at.subsystem}")
-    goes = f", and goes with {listed([condition_words(c) for c in at.depends_on])}" if at.depends_on else ""
-    return place + goes
+    return place + (f", and goes with {listed([condition_words(c) for c in at.depends_on])}" if at.depends_on else "")
 
 
 def _how_sure(answer: Answer) -> str:

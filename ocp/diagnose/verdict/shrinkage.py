@@ -65,8 +65,7 @@ class Anticipated:
 def realised(before: float, after: float, noise: float) -> float | None:
     """Shrinkage from mean squares; None where the gap before is below a fifth of the noise."""
     gap = before - noise
-    seen = gap > max(rules.NO_GAP**2 * noise, 0.0)
-    return float(1.0 - np.sqrt(max(after - noise, 0.0) / gap)) if seen else None
+    return float(1.0 - np.sqrt(max(after - noise, 0.0) / gap)) if gap > max(rules.NO_GAP**2 * noise, 0.0) else None
 
 
 def from_model(
@@ -114,8 +113,7 @@ def _conditions(new: Anticipated, rng: np.random.Generator) -> Array:
     mixture = rng.dirichlet([rules.MEASURED_PAYLOAD if n in new.measured else rules.UNMEASURED_PAYLOAD for n in names], DRAWS)
     of = np.array([names.index(g.payload) for g in new.groups])
     rank = np.array([np.sum(of[:i] == p) for i, p in enumerate(of)])  # of the temperature
-    chosen = rng.integers(rank.max() + 1, size=DRAWS)
-    return np.asarray(mixture[:, of] * (rank == chosen[:, None]))
+    return np.asarray(mixture[:, of] * (rank == rng.integers(rank.max() + 1, size=DRAWS)[:, None]))
 
 
 def from_folds(held: Sequence[HeldOut], estimation: float) -> Shrinkage | None:
