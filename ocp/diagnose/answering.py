@@ -19,7 +19,7 @@ from threadpoolctl import threadpool_limits
 from ocp.diagnose.corrected import write_corrected_cell
 from ocp.diagnose.dataset import SEALED, DataSet, blinds, read_data_set, read_sealed, told_beyond
 from ocp.diagnose.document import document_of, json_text
-from ocp.diagnose.engine.channel_system import Channel, ReadingConditions, Sealed, needs_motion
+from ocp.diagnose.engine.channel_system import SCALE, Channel, ReadingConditions, Sealed, needs_motion
 from ocp.diagnose.engine.findings import Alternative, Diagnosis
 from ocp.diagnose.foresee.anticipated import signal_gap
 from ocp.diagnose.foresee.next_experiment import next_experiments
@@ -29,7 +29,7 @@ from ocp.diagnose.report.verdict_sentence import diagnosis_headline, not_written
 from ocp.diagnose.rules import FOLLOWED_FORCE, LEADS
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.diagnose.tracker.refit import believed_baseline
-from ocp.diagnose.verdict.answer import Answer, known_beside, promised
+from ocp.diagnose.verdict.answer import Answer, SignalGap, known_beside, promised
 from ocp.diagnose.verdict.diagnosis import diagnose_channels
 from ocp.diagnose.verdict.patching import seen_by
 from ocp.diagnose.verdict.probabilities import gathered
@@ -203,11 +203,17 @@ def predict_sealed(answer: Answer) -> dict[str, Sealed]:
             found[signal] = beside_unknown(found[signal], answer.unknown, sealed, told)
             if answer.patch is not None:
                 found[signal] = with_patch(found[signal], answer.patch, sealed)
-        elif answer.unknown is None and signal == "force" and answer.diagnosis.p_unknown > LEADS:
-            # What no patch can hold, as what differs by run or session: in the next ones it may be as much.
-            left = next(gap.remaining.above_noise for gap in answer.gaps if gap.name == signal)
-            found[signal] = replace(found[signal], sigma=np.hypot(found[signal].sigma, left))
+        elif answer.unknown is None and signal != "joint" and answer.diagnosis.p_unknown > LEADS:
+            found[signal] = as_wide_as_left(found[signal], next(gap for gap in answer.gaps if gap.name == signal))
     return found
+
+
+def as_wide_as_left(told: Sealed, gap: SignalGap) -> Sealed:
+    """Predictions with what no patch can hold, as what differs by run, session or a joint's own state: in the next ones it may be
+    as much. Of a tracker's it is there in part, where all joint noise beyond the usual lasts."""
+    left = (gap.remaining.above_noise / SCALE[gap.unit]) ** 2 / told.sigma.shape[1]
+    more = left - (float(np.mean(told.sigma**2)) if gap.name == "tracker" else 0.0)
+    return replace(told, sigma=np.sqrt(told.sigma**2 + max(more, 0.0)))
 
 
 def left_out(sealed: dict[str, Sealed]) -> list[str]:

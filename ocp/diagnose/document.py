@@ -282,8 +282,7 @@ def _plain(value: Any) -> Any:
     """A value that JSON can hold: floats, texts, lists of floats, None."""
     if value is None or isinstance(value, str):
         return value
-    many = isinstance(value, Sequence | np.ndarray)
-    return [float(v) for v in np.asarray(value).ravel()] if many else float(value)
+    return [float(v) for v in np.asarray(value).ravel()] if isinstance(value, Sequence | np.ndarray) else float(value)
 
 
 def _location(d: Diagnosis) -> dict[str, Any]:

@@ -10,6 +10,7 @@ import pytest
 from ocp.diagnose import answering
 from ocp.diagnose.answering import grouped, write_diagnosis
 from ocp.diagnose.dataset import beyond_log, beyond_measured
+from ocp.diagnose.engine.channel_system import Sealed
 from ocp.diagnose.engine.findings import Location, Name
 from ocp.diagnose.report import verdict_sentence
 from ocp.diagnose.verdict.shrinkage import ANOTHER_DAY, Shrinkage
@@ -184,3 +185,14 @@ def test_what_stays_above_the_instruments_noise_is_told_though_it_has_no_name():
         "; 0.015 mm of the tracker gap stay above the instrument's noise, mostly in joint 2, with the direction"
     )
     assert verdict_sentence._still(SimpleNamespace(gaps=(quiet,), diagnosis=found)) == ""
+
+
+@pytest.mark.parametrize(("name", "unit", "expected"), [("tracker", "mm", 1.2e-4), ("force", "N", 0.5)])
+def test_predictions_are_as_unsure_as_what_no_patch_can_hold(name, unit, expected):
+    """A joint that slips between two states; of a tracker's sigma the joints' lasting noise holds a part already."""
+    k, left = (3, 0.12 * np.sqrt(3)) if name == "tracker" else (1, 0.4)
+    told = Sealed(np.zeros((5, k)), np.zeros((5, k)), np.full((5, k), 5e-5 if name == "tracker" else 0.3))
+    gap = SimpleNamespace(name=name, unit=unit, remaining=SimpleNamespace(above_noise=left))
+    np.testing.assert_allclose(answering.as_wide_as_left(told, gap).sigma, expected)
+    gap.remaining.above_noise = 0.0
+    np.testing.assert_allclose(answering.as_wide_as_left(told, gap).sigma, told.sigma)

@@ -253,8 +253,7 @@ def _promise(answer: Answer) -> str:
 
 def _gone(answer: Answer, gap: SignalGap) -> str:
     """That it 'should be gone', or would be if what it is promised of were corrected, which it is not."""
-    held = {a.key for a in answer.written}
-    return "would be gone if that were corrected," if {*gap.shown} - held else "should be gone"
+    return "would be gone if that were corrected," if {*gap.shown} - {a.key for a in answer.written} else "should be gone"
 
 
 def shrinkage_words(s: Shrinkage) -> str:

@@ -48,8 +48,7 @@ def of_effect(problem: Linearisation, effect: Effect, joint: int, signature: Arr
         if share > best:
             best, chosen = share, family.where
     lengths = {c.name: float(signature[b] @ signature[b]) for c, b in zip(problem.channels, problem.stack.blocks, strict=True)}
-    signal = max(lengths, key=lambda k: lengths[k])
-    return Location(signal, effect.subsystem, joint, depends_on(chosen))
+    return Location(max(lengths, key=lambda k: lengths[k]), effect.subsystem, joint, depends_on(chosen))
 
 
 def of_kernel(signal: str, where: str, source: str, joint: int) -> Location:
