@@ -9,11 +9,13 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 from pydantic import AfterValidator, Field
 
 from robots.errors import BadInput, shown
 
 MEGABYTE = 1_000_000
+AMONG = 30.0  # deg beyond the others' range
 
 
 def read_whole(path: Path, most: int, what: str) -> bytes:
@@ -38,6 +40,16 @@ def refuse_outside(*limits: tuple[str, float | None, float, float, str]) -> None
     for option, value, low, high, unit in limits:
         if value is not None and not low - 1e-12 * abs(low) <= value <= high + 1e-12 * abs(high):
             raise BadInput(f"{option} {value:.10g} must lie between {low:.10g} and {high:.10g} {unit}".rstrip())
+
+
+def are_radians(angles: Any, others: Any) -> bool:
+    """Whether angles (n, k) deg of axes make one turn of radians at most, and as such lie among `others` (m, k) deg of the same
+    axes, which turn far: no arm works with all axes folded to zero, but a column of radians looks so."""
+    if not (len(angles) and len(others)):
+        return False
+    far, meant = np.abs(others).max(), np.degrees(angles)
+    among = (meant > others.min(axis=0) - AMONG) & (meant < others.max(axis=0) + AMONG)
+    return bool(np.abs(angles).max() <= 2.0 * np.pi and far > np.degrees(1.0) and among.all())
 
 
 def _between(least: float, most: float) -> Any:

@@ -1,6 +1,6 @@
 """A data set folder: the cell and whatever was measured in it (FORMATS, "A data set folder")."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from os.path import lexists
 from pathlib import Path
@@ -18,6 +18,7 @@ from ocp.effects.effect import Active
 from ocp.effects.engine.readings import shown_in
 from ocp.model.cell import Cell, TrackerSetup, files_of, read_cell, read_tracker_setup
 from ocp.model.cell_schema import CellTables
+from robots.bounds import are_radians
 from robots.column_mapping import ColumnMapping, read_column_mapping
 from robots.csv_table import OURS
 from robots.errors import BadInput
@@ -141,10 +142,8 @@ def read_sealed(data: DataSet, signal: str) -> Any:
 def told_beyond(data: DataSet, signal: str, sealed: Any) -> tuple[str, ...]:
     """Sentences on sealed conditions of a signal: columns ignored or lacking, and what lies outside of what was measured."""
     found = [notice for notice in sealed.notices if signal == "tracker" or "were ignored" in notice]
-    if signal == "tracker" and data.readings is not None:
-        found += beyond_measured(data.readings, sealed)
-    if signal == "force" and data.log is not None:
-        found += beyond_log(data.log, sealed)
+    found += beyond_measured(data.readings, sealed) if signal == "tracker" and data.readings is not None else ()
+    found += beyond_log(data.log, sealed) if signal == "force" and data.log is not None else ()
     return tuple(found)
 
 
@@ -159,16 +158,13 @@ def beyond_measured(measured: Readings, sealed: Readings) -> tuple[str, ...]:
     if new:
         rows = int(np.isin(sealed.payload, [sealed.payloads.index(name) for name in new]).sum())
         found.append(f"{file}: {rows} of {n} rows carry {', '.join(new)}, never measured: mass and centre are taken as stated")
-    ranges = {f"q{j + 1}_deg": (np.degrees(measured.q[:, j]), np.degrees(sealed.q[:, j]), FAR_TURN) for j in range(6)}
-    if measured.temperature is not None and sealed.temperature is not None:
-        ranges["temperature_C"] = measured.temperature, sealed.temperature, FAR_WARMTH
-    return (*found, *_outside(file, ranges))
+    warmth = {"temperature_C": (measured.temperature, sealed.temperature, FAR_WARMTH)}
+    return (*found, *_outside(file, measured.q, sealed.q, warmth))
 
 
 def beyond_log(measured: ForceLog, sealed: ForceLog) -> tuple[str, ...]:
     """Sentences on columns that sealed conditions lack and the log has, and on conditions outside what was measured."""
-    ranges = {f"q{j + 1}_deg": (np.degrees(measured.q[:, j]), np.degrees(sealed.q[:, j]), FAR_TURN) for j in range(6)}
-    lacking = []
+    ranges, lacking = {}, []
     for name, column in LOGGED.items():
         seen, asked = getattr(measured, name), getattr(sealed, name)
         if seen is not None and asked is None and not (name == "setpoint" and measured.setpoint_sd is not None):
@@ -181,12 +177,15 @@ def beyond_log(measured: ForceLog, sealed: ForceLog) -> tuple[str, ...]:
         ranges[column] = seen, asked, most
     file = sealed.path.name
     usual = f"{file}: without {', '.join(lacking)}, which the log has, the cell's usual is taken; its sigma knows nothing of that"
-    return (*([usual] if lacking else []), *_outside(file, ranges))
+    return (*([usual] if lacking else []), *_outside(file, measured.q, sealed.q, ranges))
 
 
-def _outside(file: str, ranges: dict[str, tuple[Array, Array, float]]) -> Iterator[str]:
-    """Sentences on columns of which some asked for lie farther from the measured ones than the last number."""
-    for column, (seen, asked, most) in ranges.items():
+def _outside(file: str, q: Array, sealed: Array, ranges: Mapping[str, Any]) -> Iterator[str]:
+    """Sentences on postures (n, 6) rad and columns of which some lie farther from the measured ones than the last number."""
+    if are_radians(np.degrees(sealed), np.degrees(q)):
+        yield f"{file}: all axes lie within {np.degrees(np.abs(sealed).max()):.2g} deg of zero, as if in radians; write degrees"
+    every = {f"q{j + 1}_deg": (np.degrees(q[:, j]), np.degrees(sealed[:, j]), FAR_TURN) for j in range(6)} | {**ranges}
+    for column, (seen, asked, most) in ((c, r) for c, r in every.items() if r[0] is not None and r[1] is not None):
         rows = int(np.sum((asked < seen.min() - most) | (asked > seen.max() + most))) if len(seen) and len(asked) else 0
         if rows:
             yield (

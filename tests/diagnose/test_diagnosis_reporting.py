@@ -116,6 +116,8 @@ def test_sealed_conditions_beyond_the_measured_ones_are_told():
     q[1, 0] = seen.q[:, 0].max() + np.radians(29.5)
     odd = replace(like, q=q, temperature=np.array([20.0, 30.5, 29.5, 14.5, 15.5, 25.0]), point=np.zeros((6, 3)))
     odd = replace(odd, payload=np.array([heaviest, heaviest, *odd.payload[2:]]))
+    (radians,) = beyond_measured(seen, replace(like, q=np.radians(like.q)))
+    assert radians.startswith("sealed_tracker.csv: all axes lie within ") and radians.endswith("; write degrees")
     ignored, heavy, turned, warm = beyond_measured(seen, odd)
     assert "x_mm, y_mm, z_mm were ignored" in ignored
     assert f"2 of 6 rows carry {seen.payloads[heaviest]}, never measured" in heavy
