@@ -420,10 +420,16 @@ def test_linear_folds_are_as_good_as_nonlinear_refits():
     assert quick.means[0] > 2 * quick.means[1]
 
 
-def test_what_the_believed_arm_is_off_by_in_a_fold_meets_both_errors():
-    """One sd of what it does to the means apart: the left-out readings moved along each direction that the rest leaves open."""
-    c = channel(world(4, PLANTED["gear_2x:3"])[0]).with_active((Active(LIBRARY["gear_2x"], 3, np.zeros(2), {}, np.eye(2)),))
-    fold = next(f for f in c.folds() if f.kind == "payload")
+@pytest.mark.parametrize("kind", ["payload", "station"])
+def test_what_the_believed_arm_is_off_by_in_a_fold_meets_both_errors(kind):
+    """One sd of what it does to the means apart: the left-out readings moved along each direction that the rest leaves open. A
+    stand that is left out is placed anew by them, which takes its own part of that away."""
+    readings = world(4, PLANTED["gear_2x:3"])[0]
+    late = np.arange(len(readings)) >= 2 * len(readings) // 3
+    if kind == "station":
+        readings = replace(readings, station=late.astype(np.int64), stations=("S1", "S2"))
+    c = channel(readings).with_active((Active(LIBRARY["gear_2x"], 3, np.zeros(2), {}, np.eye(2)),))
+    fold = [f for f in tracker_folds(readings) if f.kind == kind][-1]
     sd, linear, rest = c.task.layout.prior_sd, c.fit.linear, ~np.asarray(fold.held)
     scale = np.where(np.isfinite(sd), sd, c.task.layout.scale)
     A = (c.fit.W[rest] @ linear.J[rest]).reshape(-1, len(sd)) * scale
@@ -438,7 +444,7 @@ def test_what_the_believed_arm_is_off_by_in_a_fold_meets_both_errors():
     U, s, _ = np.linalg.svd(open_, full_matrices=False)
     slopes = [difference(u) - difference(0.0 * u) for u in (U * s).T[s > 1e-12 * s[0]]]
     assert found.shared == pytest.approx(np.linalg.norm(slopes), rel=1e-3) and found.shared > 0.0
-    assert c.held_out(fold, ()).shared < 1e-4 * found.shared  # nothing differs
+    assert c.held_out(fold, ()).shared < 1e-3 * found.shared  # nothing differs
 
 
 def ripple(r):

@@ -167,14 +167,16 @@ def _stays(channel: Channel) -> float:
 
 
 def with_patch(told: Sealed, found: Patched, sealed: Any) -> Sealed:
-    """Predictions with those of the patch beside them; sigma holds what may stand in its place, what it leaves open, and what
-    surely stays above the noise of the readings that it was fitted to: a patch follows the unknown no closer elsewhere."""
+    """Predictions with those of the patch beside them; sigma holds what may stand in its place, what it leaves open, and is on
+    average at least what surely stays above the noise of the readings that the patch was fitted to: it follows the unknown no
+    closer elsewhere. Of that the joints' errors that last, which sigma has already, are a part."""
     main = found.channel.predict(sealed, found.channel.active)
     variance = main.sigma**2
     for probability, other in predictions(found.channel, sealed, found.others):
         variance = variance + probability * (other.corrected - main.corrected) ** 2
     open_, inside = beyond(found.channel, found.patches, sealed)
-    stays = _stays(found.channel) / main.sigma.shape[1]
+    variance = variance + open_
+    variance = variance + max(_stays(found.channel) / main.sigma.shape[1] - float(np.mean(variance)), 0.0)
     lacking = tuple(one.effect.title for one in found.patches if one.effect.name in main.lacking)
     told = replace(told, lacking=(*told.lacking, *lacking))
-    return replace(told, patched=main.corrected, patched_sigma=np.sqrt(variance + open_ + stays), inside=inside)
+    return replace(told, patched=main.corrected, patched_sigma=np.sqrt(variance), inside=inside)

@@ -77,29 +77,27 @@ def held_out_readings(
         return None
     whole = fit.linear.residual + added(fit.active, seen, fit)[1]
     extra, _ = added(active, seen, fit)
-    without, with_effects = (
-        _solved(task, fit, whole, columns, prior, train)
+    (before, unknown), (after, more) = (
+        [placed_stands(task, fit, part, own)[rows] for part in _solved(task, fit, whole, columns, prior, train)]
         for columns, prior in ((bare, np.zeros(0)), (np.concatenate([fit.linear.J, extra], axis=2), prior_sds(active)))
     )
-    before, after = (placed_stands(task, fit, errors, own)[rows] for errors, _ in (without, with_effects))
     # Not of the coefficients alone: an effect that the springs nearly imitate has large errors that these take back.
-    unknown, more = (np.einsum("nip,nip->n", some, some)[rows] for _, some in (without, with_effects))
-    added_by_effects = float((more - unknown).mean())
+    added_by_effects = float((np.sum(more**2) - np.sum(unknown**2)) / len(rows))
     # Both errors hold what the believed cell is off by there, J u: their squares differ by 2 J u (before - after) for it,
     # whatever the effects.
-    shared = 2.0 * np.einsum("ni,nip->p", before - after, without[1][rows]) / len(rows)
+    shared = 2.0 * np.einsum("ni,nip->p", before - after, unknown) / len(rows)
     S = reading_covariance(r.take(rows), task.campaign.instrument, gap_noise(fit.noise), fit.linear.d_joints[rows])
     squares = np.stack([np.sum(before**2, axis=1), np.sum(after**2, axis=1), np.trace(S, axis1=1, axis2=2)])
     return HeldOut(fold, squares, max(added_by_effects, 0.0), float(np.linalg.norm(shared)))
 
 
 def placed_stands(task: Task, fit: TrackerFit, errors: Array, own: Sequence[Index]) -> Array:
-    """Errors (n, 3) m with each of the stands whose rows are `own` placed by these rows, as large as their freedom makes them."""
+    """Errors (n, 3, ...) m, each with the stands whose rows are `own` placed by these, as large as their freedom makes them."""
     found = errors.copy()
     for rows in own:
         J = fit.linear.J[rows][:, :, task.layout.station[task.campaign.readings.station[rows[0]]]]
-        A, y = (fit.W[rows] @ J).reshape(3 * len(rows), -1), np.einsum("nij,nj->ni", fit.W[rows], errors[rows]).ravel()
-        left = errors[rows] - J @ np.linalg.lstsq(A, y, rcond=None)[0]
+        A, y = ((fit.W[rows] @ e).reshape(3 * len(rows), -1) for e in (J, errors[rows].reshape(len(rows), 3, -1)))
+        left = errors[rows] - (J @ np.linalg.lstsq(A, y, rcond=None)[0]).reshape(errors[rows].shape)
         found[rows] = left * np.sqrt(len(A) / (len(A) - A.shape[1]))
     return found
 
