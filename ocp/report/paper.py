@@ -10,8 +10,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import matplotlib
 import typst
+from matplotlib.font_manager import FontProperties, findfont
 
 from ocp.report.style import BAD, INK, RULE, SHADE, SIDE_COLOURS, SOFT, printable
 
@@ -32,12 +32,14 @@ def sheets(report: Mapping[str, Any], tone: str, ground: str) -> bytes:
 
 
 def compiler(report: Mapping[str, Any], tone: str, ground: str) -> typst.Compiler:
-    """What makes the sheets of it, in any format of typst's."""
+    """What makes the sheets of it, in any format of typst's. Raises ValueError: matplotlib's font is not there."""
     colours = _COLOURS | {"tone": tone, "ground": ground}
-    fonts = str(Path(matplotlib.get_data_path()) / "fonts" / "ttf")
+    named = (FontProperties(family="DejaVu Sans", weight=weight) for weight in ("normal", "bold"))
+    fonts = sorted({str(Path(findfont(font, fallback_to_default=False)).parent) for font in named})
     return typst.Compiler(
         TEMPLATE.read_bytes(),
-        font_paths=typst.Fonts(include_system_fonts=False, include_embedded_fonts=False, font_paths=[fonts]),
+        root=TEMPLATE.parent,
+        font_paths=typst.Fonts(include_system_fonts=False, include_embedded_fonts=False, font_paths=list(fonts)),
         ignore_system_fonts=True,
         sys_inputs={"report": json.dumps({**_shown(report), "colours": colours}, allow_nan=False)},
     )
@@ -46,7 +48,8 @@ def compiler(report: Mapping[str, Any], tone: str, ground: str) -> typst.Compile
 def picture(svg: str) -> dict[str, str]:
     """A picture of a part: a whole SVG file of an `<svg>` element of the page."""
     spaces = 'xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink" font-family="DejaVu Sans"'
-    return {"picture": svg.replace("<svg", f"<svg {spaces}", 1).replace(" href=", " xlink:href=")}
+    svg = re.sub(r"<[^>]+>", lambda tag: tag.group(0).replace(' href="', ' xlink:href="'), svg)
+    return {"picture": svg.replace("<svg", f"<svg {spaces}", 1)}
 
 
 def _shown(value: Any, longest: int = _LONGEST) -> Any:

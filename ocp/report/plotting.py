@@ -131,14 +131,15 @@ def running_median(x: Array, y: Array, bins: int = 12, fewest: int = 5) -> tuple
 
 
 def envelope(x: Array, y: Array, bins: int = 500) -> tuple[Array, Array]:
-    """A curve of at most 2 `bins` points that keeps every peak: least and largest value of each bin."""
+    """A curve of at most 2 `bins` points that keeps every peak: least and largest known value of each bin, one that is not known
+    where none is."""
     if len(x) <= 2 * bins:
         return np.asarray(x, float), np.asarray(y, float)
-    edges, known = np.linspace(0, len(x), bins + 1).astype(int).tolist(), np.nan_to_num(y)
+    edges, y = np.linspace(0, len(x), bins + 1).astype(int).tolist(), np.asarray(y, float)
     pick = []
     for a, b in pairwise(edges):
-        part = known[a:b]
-        pick += sorted({a + int(part.argmin()), a + int(part.argmax())})
+        low, high = (np.where(np.isfinite(y[a:b]), y[a:b], end) for end in (np.inf, -np.inf))
+        pick += sorted({a + int(low.argmin()), a + int(high.argmax())})
     index = np.array(pick)
     return np.asarray(x, float)[index], np.asarray(y, float)[index]
 
@@ -212,7 +213,7 @@ def _headed(text: str, caption: str) -> str:
     box = re.search(r'viewBox="([^"]*)"', text)
     assert box is not None
     head = (
-        f'<svg viewBox="{box.group(1)}" role="img" aria-label="{escape(caption, quote=True)}" '
+        f'<svg viewBox="{box.group(1)}" role="img" aria-label="{escape(printable(caption), quote=True)}" '
         'stroke-linejoin="round" stroke-linecap="butt">'
     )
     return head + text[text.index(">") + 1 :]

@@ -63,7 +63,9 @@ class Report:
 
     def plots(self) -> list[Plot]:
         """Its pictures, most of its time: they may be drawn apart (`Plot.drawn`)."""
-        return [part for section in self.sections for part in section.parts if isinstance(part, Plot)]
+        found = [part for section in self.sections for part in section.parts if isinstance(part, Plot)]
+        assert len({plot.key for plot in found}) == len(found)  # pictures are known by their keys
+        return found
 
     def with_plots(self, drawn: Mapping[str, str]) -> "Report":
         """The same report with the pictures of these keys drawn."""

@@ -55,9 +55,9 @@ def _known_characters() -> frozenset[int]:
 
 
 def printable(words: str) -> str:
-    """The words with a box for every character that the font lacks, a space for control characters."""
+    """The words with a box for every character that the font lacks, a space for characters that control or turn what follows."""
     known = _known_characters()
-    return "".join(c if ord(c) in known else ("\u25a1" if c.isprintable() else " ") for c in words)
+    return "".join(" " if not c.isprintable() else c if ord(c) in known else "\u25a1" for c in words)
 
 
 def shorten(words: str, most: int) -> str:

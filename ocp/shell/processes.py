@@ -240,9 +240,11 @@ def _end_with_parent(alive: int, scratch: str) -> None:
     In this order, and so by a process that is none of them: work that finds its files gone would tell that as an error.
     """
     select.select([alive], [], [])
-    steps = 'kill -s KILL -- "-$1" 2>&-; rm -rf -- "$2"'
+    steps = 'kill -s KILL -- "-$1" 2>&-; rm -rf -- "$2" 2>&-'
     try:
         os.posix_spawn("/bin/sh", ["sh", "-c", steps, "sh", str(os.getpgrp()), scratch], os.environ, setpgroup=0)
+    except OSError:  # no shell, no memory: rather a complaint than files that stay
+        shutil.rmtree(scratch, ignore_errors=True)
     finally:
         os.killpg(0, signal.SIGKILL)
 

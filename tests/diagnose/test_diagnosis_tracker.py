@@ -324,9 +324,13 @@ def test_what_a_kernel_would_take_is_its_share_of_the_gap(monkeypatch):
 
     c = channel(world(4, moved=swing)[0])
     problem = linearised([c], {}, Options())
-    left = remaining(c, kernel_tests(problem, given(problem.pool, ())))
+    tests = kernel_tests(problem, given(problem.pool, ()))
+    left = remaining(c, tests)
     gap = float(np.sqrt(np.mean(np.sum(c.gap() ** 2, axis=1))))
     assert 0.8 * gap < left.above_noise < gap and left.p_value < 1e-20
+    best = min(tests, key=lambda t: t.p_value)
+    half = remaining(c, [replace(best, gained=0.49 * float(np.sum(c.system.residual**2)))])
+    assert half.above_noise == pytest.approx(0.7 * gap, rel=0.01)  # but for gross readings
 
 
 @pytest.mark.parametrize("far", [1.0, 4.0])

@@ -122,8 +122,8 @@ def test_beyond_what_was_measured_a_patch_is_written_where_left_out_readings_say
 
 @pytest.mark.parametrize(("joints", "sigma", "square"), [(1e-3, 2e-5, 8e-5**2 / 3), (1e-3, 6e-5, 6e-5**2), (1e-6, 2e-5, 2e-5**2)])
 def test_what_a_patch_surely_leaves_above_the_noise_is_in_its_sigma(clean, joints, sigma, square, monkeypatch):
-    """A play that fades along its axis is followed to 0.08 mm, and noise of joints stands for the rest, once: what lasts of it is in
-    sigma already. An instrument worse than stated leaves as much, and nothing of it lasts."""
+    """A play that fades along its axis is followed to 0.08 mm, and noise of joints stands for the rest, once: what lasts of it is
+    in sigma already. An instrument worse than stated leaves as much, and nothing of it lasts."""
     monkeypatch.setattr("ocp.diagnose.foresee.patched.beyond", lambda *_: (np.zeros((4, 1)), np.ones(4, bool)))
     monkeypatch.setattr("ocp.diagnose.foresee.patched.remaining", lambda *_: Remaining(8e-5, 1e-9))
     told = Sealed(np.zeros((4, 3)), np.zeros((4, 3)), np.full((4, 3), sigma))

@@ -17,6 +17,7 @@ import pytest
 from markupsafe import Markup
 from scipy.spatial import cKDTree
 
+from ocp.plan.files import write_plan_report
 from ocp.plan.grades import Grade, Grades
 from ocp.plan.passes.stretches import LeftOut
 from ocp.plan.report.pages import plan_pages
@@ -197,6 +198,18 @@ def test_equal_reports_give_equal_bytes_whatever_the_hash_seed(tmp_path, hostile
     subprocess.run([sys.executable, "-c", code, str(other)], check=True, env=environment, timeout=120)
     assert sheets_of(report, tmp_path).read_bytes() == (other / "report.pdf").read_bytes()
     assert page_of(report).encode("utf-8") == (other / "report.html").read_bytes()
+
+
+def test_every_picture_is_drawn_once(tmp_path, report, monkeypatch):
+    drawn: list[str] = []
+
+    def draw(key, *_):
+        drawn.append(key)
+        return '<svg viewBox="0 0 9 1"></svg>'
+
+    monkeypatch.setattr("ocp.report.parts.inline_svg", draw)
+    write_plan_report(report, tmp_path)
+    assert sorted(drawn) == sorted(plot.key for plot in plan_pages(report).plots()) and len(drawn) > 5
 
 
 def test_pdf_has_its_sheets_and_words(tmp_path, report):

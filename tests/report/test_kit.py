@@ -5,12 +5,14 @@ import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 from markupsafe import Markup
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.font_manager import FontProperties
 from PIL import Image
 
 from ocp.report.paper import _shown, compiler
@@ -133,6 +135,28 @@ def test_words_stay_words():
     assert "<script" not in hostile.page() and hostile.page().count("&lt;script&gt;") == 8
 
 
+def test_no_word_breaks_a_picture_or_a_sheet(tmp_path):
+    odd = "a\udcffb\x00c\fd\u202ee <b> href=f"
+
+    def draw(canvas: Canvas) -> None:
+        dressed(canvas.subplots(), odd)
+
+    nothing = (Facts(()), table((), []), Points(()), "")
+    made = replace(report(Plot("p", odd, 1.0, draw), odd, *nothing), title=odd, kind=odd)
+    made.write(tmp_path)
+    (shown,) = made.plots()
+    assert ElementTree.fromstring(shown.on_paper()["picture"]).get("aria-label") == "a b c d e <b> href=f"
+    assert "xlink" not in "".join(ElementTree.fromstring(shown.on_paper()["picture"]).itertext())
+    assert (tmp_path / "report.pdf").read_bytes().startswith(b"%PDF-")
+
+
+def test_a_font_that_is_lacking_is_said(tmp_path, monkeypatch):
+    """Sheets without it would be blank."""
+    monkeypatch.setattr("ocp.report.paper.FontProperties", lambda **_: FontProperties(family="no such font"))
+    with pytest.raises(ValueError, match="no such font"):
+        report("words").write_pdf(tmp_path / "report.pdf")
+
+
 def test_a_bar_is_as_long_as_its_share_and_never_longer_than_all():
     page = str(usual_parts()[3].on_page())
     assert re.findall(r'<rect width="([\d.]+)" height="8" class="(part|full)"', page) == [("50.0", "part"), ("100.0", "full")]
@@ -212,6 +236,11 @@ def test_thinned_curves_keep_their_peaks():
     thin_x, thin_y = envelope(x, y, bins=200)
     assert len(thin_x) <= 400 and (np.diff(thin_x) > 0).all()
     assert thin_y.max() == 5.0 and thin_y.min() == -7.0
+    y[[775, 12_344]] = np.nan
+    y[4000:5000] = np.nan
+    thin_x, thin_y = envelope(x, 30.0 + y, bins=200)
+    assert np.nanmax(thin_y) == 35.0 and np.nanmin(thin_y) == 23.0
+    assert np.isnan(thin_y[(thin_x > 0.205) & (thin_x < 0.245)]).all() and np.isnan(thin_y).sum() == 10
 
 
 def test_words_are_made_printable():

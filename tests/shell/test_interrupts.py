@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from ocp.shell.output import MARKER
+from ocp.shell.processes import _end_with_parent
 from tests.support.house import ROOT
 
 COMMAND = """
@@ -236,6 +237,29 @@ def test_no_process_outlives_a_killed_command_and_the_next_one_clears_away(scrip
     again = started(script, "finish", out)
     assert again.communicate(timeout=20)[0] == "done\n" and again.returncode == 0
     assert not list(tmp_path.glob(".out*")) and (out / "b.txt").exists()
+
+
+@pytest.mark.parametrize("shell", [True, False])
+def test_processes_end_before_their_temporary_files_go(tmp_path, monkeypatch, shell):
+    """Whatever the scheduler does: the other way round what is at work tells its lost files as an error."""
+    scratch, done = tmp_path / "scratch", []
+    scratch.mkdir()
+
+    def spawned(path, words, environment, setpgroup):
+        if not shell:
+            raise OSError("no shell")
+        done.append((words[2].index("kill"), words[2].index("rm -rf"), *words[4:], setpgroup, scratch.exists()))
+
+    monkeypatch.setattr("os.posix_spawn", spawned)
+    monkeypatch.setattr("os.killpg", lambda *given: done.append(given))
+    alive, ours = os.pipe()
+    os.close(ours)
+    _end_with_parent(alive, str(scratch))
+    os.close(alive)
+    assert done[-1] == (0, signal.SIGKILL) and scratch.exists() == shell
+    if shell:
+        ((killed, removed, *given), _) = done
+        assert killed < removed and given == [str(os.getpgrp()), str(scratch), 0, True]
 
 
 def test_a_crash_in_foreign_code_is_one_sentence(script, tmp_path):

@@ -15,6 +15,7 @@ KNOWN = {"casadi": "LGPL-3.0-or-later", "netgen-mesher": "LGPL-2.1-only", "pytet
 HOLDS = {
     "casadi": "Ipopt (EPL-2.0), MUMPS (CeCILL-C), OpenBLAS (BSD) and others",
     "netgen-mesher": "Open CASCADE parts through netgen-occt (LGPL-2.1 with exception)",
+    "typst": "crates under MIT, Apache-2.0 and BSD; fonts that are not used (OFL-1.1, GUST, Bitstream Vera)",
     "pytetwild": "GMP (LGPL-3.0-or-later or GPL-2.0-or-later), libgomp (GPL-3.0 with GCC's exception)",
     "numpy": f"OpenBLAS (BSD), {GCC}",
     "scipy": f"OpenBLAS (BSD), {GCC}",
