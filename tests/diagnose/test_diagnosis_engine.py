@@ -313,6 +313,16 @@ def test_names_selected_for_what_a_kernel_follows_are_dropped_beside_it(monkeypa
     best = [str(problem.pool.families[f].name) for f in search.best()[0]]
     assert len(best) == 1 and best[0].startswith("?tracker/"), best
 
+    # What is there beside it stays, though the kernel follows one of them in part.
+    own = {"own": rng.normal(size=720), "alike": 0.6 * shape.ravel() + rng.normal(size=720)}
+    names |= {n: effect(n, prior_sd=(4.0,)) for n in own}
+    columns |= {(n, 0): c[None, :, None] for n, c in own.items()}
+    partly += tuple(Active(names[n], 0, np.array([0.5]), {}, np.eye(1)) for n in own)
+    both = replace(channel, columns=columns, y=channel.y + 0.5 * sum(own.values()))
+    problem, search, _ = selection.select_effects(both, names, Options())
+    best = {problem.pool.families[f].name.effect for f in search.best()[0]}
+    assert {*own} < best and len(best) == 3, best
+
 
 def test_kernel_p_values_are_uniform():
     p = []
