@@ -211,7 +211,8 @@ def _write_json(plan: Plan, written: _Written, summary: list[tuple[str, str]], g
 
 def write_plan_report(report: PlanReport, folder: Path) -> None:
     """Write report.html and report.pdf into `folder`; equal reports give equal bytes. Raises OSError."""
-    shares = [(k, cores()) for k in range(cores())]
+    count = min(cores(), 4)  # of some eight pictures: who draws one or two puts all the pages together for them
+    shares = [(k, count) for k in range(count)]
     with side_by_side(_drawn, shares, report) as parts:
         drawn = {key: svg for part in parts for key, svg in part.items()}
     with side_by_side(_write_as, [("html",), ("pdf",)], report, folder, drawn) as written:

@@ -31,13 +31,10 @@ MANY = 1500  # points of a panel from which they are drawn as pixels: a page of 
 
 @dataclass(frozen=True)
 class Canvas:
-    """A part of a matplotlib figure to draw in: `WIDTH` by `height` inch, its lower left corner at `left`, `bottom` inch of the
-    figure."""
+    """A matplotlib figure to draw in, `WIDTH` by `height` inch."""
 
     figure: Figure
     height: float
-    left: float = 0.0
-    bottom: float = 0.0
 
     def subplots(
         self,
@@ -54,11 +51,9 @@ class Canvas:
     ) -> Any:
         """Axes that fill the canvas, as `Figure.subplots` gives them; margins and gaps in inch, `widths` of the columns relative
         to each other."""
-        width, height = self.figure.get_size_inches()
         panel_width = (WIDTH - left - right - across * (columns - 1)) / columns
         panel_height = (self.height - top - bottom - down * (rows - 1)) / rows
-        edges = {"left": (self.left + left) / width, "right": (self.left + WIDTH - right) / width}
-        edges |= {"bottom": (self.bottom + bottom) / height, "top": (self.bottom + self.height - top) / height}
+        edges = {"left": left / WIDTH, "right": 1 - right / WIDTH, "bottom": bottom / self.height, "top": 1 - top / self.height}
         gaps = {"wspace": across / panel_width, "hspace": down / panel_height}
         return self.figure.add_gridspec(rows, columns, width_ratios=widths, **edges, **gaps).subplots(**options)
 

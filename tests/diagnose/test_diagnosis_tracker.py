@@ -12,7 +12,7 @@ from ocp.diagnose.engine.pool import given
 from ocp.diagnose.foresee.anticipated import remaining
 from ocp.diagnose.rules import LINES_A_GEAR, QUIET
 from ocp.diagnose.tracker.channel import TrackerChannel
-from ocp.diagnose.tracker.held_out import placed_stands, tracker_folds
+from ocp.diagnose.tracker.held_out import added, placed_stands, tracker_folds
 from ocp.diagnose.tracker.refit import RANK, believed_baseline, link_torques, reliability, settled, weighed_links
 from ocp.diagnose.verdict import diagnosis
 from ocp.diagnose.verdict.answer import Remaining
@@ -449,6 +449,15 @@ def test_what_the_believed_arm_is_off_by_in_a_fold_meets_both_errors(kind):
     slopes = [difference(u) - difference(0.0 * u) for u in (U * s).T[s > 1e-12 * s[0]]]
     assert found.shared == pytest.approx(np.linalg.norm(slopes), rel=1e-3) and found.shared > 0.0
     assert c.held_out(fold, ()).shared < 1e-3 * found.shared  # nothing differs
+    # What the effect's coefficients add to the errors of all unknowns, of which they take some back.
+    columns = np.concatenate([linear.J, added(c.active, c.seen, c.fit)[0]], axis=2)
+    prior, size = np.append(sd, [1.0, 1.0]), np.append(scale, [1.0, 1.0])
+    A = (c.fit.W[rest] @ columns[rest]).reshape(-1, len(prior)) * size
+    every = columns @ (size[:, None] * np.linalg.pinv(np.vstack([A, np.diag(np.isfinite(prior).astype(float))]), rcond=RANK))
+    own = [] if kind == "payload" else [np.flatnonzero(fold.held)]
+    placed = [placed_stands(c.task, c.fit, one, own)[~rest] for one in (every, linear.J @ open_)]
+    more, less = (float(np.sum(one**2)) / len(one) for one in placed)
+    assert found.estimation == pytest.approx(more - less, rel=0.02)
 
 
 def ripple(r):

@@ -169,6 +169,29 @@ def test_equal_reports_are_equal_bytes_without_a_date(tmp_path):
     assert content == (tmp_path / "b.pdf").read_bytes() and b"CreationDate" not in content
 
 
+def alone(part: Part, tmp_path: Path) -> np.ndarray:
+    """Ink (h, w), 0 to 1, of the sheet that has this part and no other, below its heading."""
+    (sheet,) = rendered(Report("Test", "t", Headline(True, "v", "s"), (), (Section("One", (part,)),)), tmp_path)
+    return 1.0 - sheet[int(2.2 * 76.2) : -60] / 255.0
+
+
+def test_rows_and_lists_look_as_they_are_meant(tmp_path):
+    rows = [("many words of a row", "1"), ("many words of a row", "100000")]
+    plain, quiet, strong = (
+        alone(table(("what", "count"), rows, **by), tmp_path) for by in ({}, {"quiet": (1,)}, {"strong": (1,)})
+    )
+    assert quiet.sum() < 0.97 * plain.sum() and strong.sum() > 1.03 * plain.sum()
+    assert not np.array_equal(alone(Points(("one",)), tmp_path), alone(Points(("one",), numbered=True), tmp_path))
+
+    def ends(text: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
+        dark = alone(table(("a wide head",), [("1",), ("100000",)], text), tmp_path) > 0.4
+        lines = [np.flatnonzero(line.any(axis=0)) for line in np.split(dark, np.flatnonzero(~dark.any(axis=1))) if line.any()]
+        return np.array([line[0] for line in lines]), np.array([line[-1] for line in lines])
+
+    (left, right), (words_left, words_right) = ends(()), ends((0,))
+    assert len(left) == 3 and np.ptp(right) < 3 < np.ptp(left) and np.ptp(words_left) < 3 < np.ptp(words_right)
+
+
 def test_long_tables_go_on_on_the_next_sheet(tmp_path):
     rows = [(f"k{i}", "1") for i in range(100)]
     found = rendered(report(table(("key", "value"), rows)), tmp_path)

@@ -13,7 +13,7 @@ from ocp.data import CELL
 from ocp.model.cell import read_cell
 from ocp.simulate.twin.krl_text import read_program
 from ocp.simulate.twin.plan_knowledge import read_plan_table, read_summary
-from robots.bounds import COLUMNS, column_bounds, read_whole, refuse_outside
+from robots.bounds import COLUMNS, are_radians, column_bounds, read_whole, refuse_outside
 from robots.calibration.store import read_calibration
 from robots.column_mapping import read_column_mapping
 from robots.csv_table import read_csv_table
@@ -237,3 +237,22 @@ def test_an_option_at_either_end_is_inside():
     for value in (-60.001, 60.001, float("nan")):
         with pytest.raises(BadInput, match="must lie between -60 and 60 m/s"):
             refuse_outside(("--belt", value, -60.0, 60.0, "m/s"))
+
+
+TURNED = np.array([[-100.0, 40.0], [100.0, 120.0]])  # deg, of two axes
+
+
+@pytest.mark.parametrize(
+    ("angles", "others", "said"),
+    [
+        (np.radians([[-90.0, 50.0], [90.0, 110.0]]), TURNED, True),
+        ([[-90.0, 50.0]], TURNED, False),
+        ([[0.5, 7.0]], [[-100.0, 40.0], [100.0, 500.0]], False),  # more than a turn of radians
+        ([[0.5, 0.1]], TURNED, False),  # 6 deg as radians: the second axis never was there
+        ([[0.2, 0.3]], [[0.1, 0.2], [0.4, 0.9]], False),  # all that was measured is as near to zero
+        (np.empty((0, 2)), TURNED, False),
+        ([[0.5, 1.0]], np.empty((0, 2)), False),
+    ],
+)
+def test_angles_in_radians_are_told_from_small_ones(angles, others, said):
+    assert are_radians(np.asarray(angles), np.asarray(others)) is said
