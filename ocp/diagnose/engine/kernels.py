@@ -13,7 +13,7 @@ Features are told in the words of patches (`ocp.effects.patch`) wherever one can
 what corrects it are the same functions.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import reduce
 
@@ -45,8 +45,8 @@ _IN_WORDS = {"clock": "time", "temperature": "warm", "wheel_temperature": "wheel
 
 Words = Sequence[str]
 """Features of one variant, as a patch has them."""
-Conditions = Mapping[str, Array]
-"""Of n readings (n,), by their names in words."""
+Conditions = dict[str, Array]
+"""Of n readings (n,), by their names in words, with factors of features that were asked for."""
 
 
 @dataclass(frozen=True)
@@ -286,16 +286,15 @@ def times(first: Words, second: Words) -> list[str]:
 
 
 def in_numbers(words: Words, x: Conditions) -> Array:
-    """Features (n, m) of conditions."""
+    """Features (n, m) of conditions; factors stay in x, as other kernels have the same."""
     parts = [word.split(" * ") for word in words]
-    known = {text: _factor(text, x) for text in {text for texts in parts for text in texts}}
-    return np.column_stack([reduce(np.multiply, [known[text] for text in texts]) for texts in parts])
+    for text in {text for texts in parts for text in texts if text not in x}:
+        x[text] = _factor(text, x)
+    return np.column_stack([reduce(np.multiply, [x[text] for text in texts]) for texts in parts])
 
 
 def _factor(text: str, x: Conditions) -> Array:
     """One factor (n,) of a feature."""
-    if text in x:
-        return x[text]
     form, number, name = text.split(" ")
     k, values = float(number), x[name]
     if form == "wave":

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.interpolate import CubicSpline
-from scipy.linalg import cho_factor, solve_triangular
+from scipy.linalg import cho_factor, cho_solve, solve_triangular
 from scipy.optimize import minimize
 
 from ocp.diagnose import rules
@@ -298,17 +298,24 @@ def _likeliest(left: Array, pieces: list[Index], time: Array, longest: bool = Fa
     length = max(float(np.ptp(time[pieces[0]])), 20 * step)
     shortest = length / 20 if longest else 2 * step
 
-    def cost(x: Array) -> float:
+    blocks_apart = [np.abs(time[piece][:, None] - time[piece]) for piece in pieces]
+
+    def unlikely(x: Array) -> tuple[float, Array]:
+        """Minus log likelihood, and its slope."""
         white, wander, memory = size * np.exp(x[0]), size * np.exp(x[1]), step * np.exp(x[2])
-        noise = EncoderNoise(white, wander, memory, 0.0, 1.0, white, np.empty(0, bool))
-        total = 0.0
-        for piece, factor in factors(time, pieces, noise):
-            total += 0.5 * float(np.sum(solve_triangular(factor, left[piece], lower=True) ** 2))
-            total += float(np.log(np.diag(factor)).sum())
-        return total
+        total, slope = 0.0, np.zeros(3)
+        for piece, apart in zip(pieces, blocks_apart, strict=True):
+            wanders, own = wander**2 * np.exp(-apart / memory), np.eye(len(piece))
+            root = cho_factor(wanders + (white**2 + rules.LEAST_ENCODER_NOISE**2) * own, lower=True)
+            weighed = cho_solve(root, left[piece])
+            total += 0.5 * float(left[piece] @ weighed) + float(np.log(np.diag(root[0])).sum())
+            in_covariance = cho_solve(root, own) - np.outer(weighed, weighed)
+            by_wander = in_covariance * wanders
+            slope += [white**2 * np.trace(in_covariance), by_wander.sum(), 0.5 * (by_wander * apart).sum() / memory]
+        return total, slope
 
     bounds = [(-4.0, 0.5), (-5.0, 1.0), (np.log(shortest / step), np.log(length / 4 / step))]
     starts = [(-0.3, -1.0, bounds[2][0] + 0.1), (-2.0, 0.0, 0.5 * (bounds[2][0] + bounds[2][1]))]
-    found = [minimize(cost, s, method="L-BFGS-B", bounds=bounds, options={"maxiter": 40}) for s in starts]
+    found = [minimize(unlikely, s, jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": 40}) for s in starts]
     best = min(found, key=lambda f: float(f.fun))
     return float(size * np.exp(best.x[0])), float(size * np.exp(best.x[1])), float(step * np.exp(best.x[2]))
