@@ -135,6 +135,18 @@ MUTATIONS = {
     "declared twice": ("axis", DATA, inserted("DECL INT", "INT Success"), "declared in line"),
     "statement in .dat": ("axis", DATA, inserted("DECL INT", "$OV_PRO=100"), "only declarations"),
     "axis beyond its limit": ("axis", SUB, replaced(SPTP, r"A5 [^,]*", "A5 126.00000", 5), "axis 5 at 126.000"),
+    "axis below its limit": ("axis", SUB, replaced(SPTP, r"A5 [^,]*", "A5 -126.00000", 5), "axis 5 at -126.000"),
+    "one axis fast at first": ("axis", SUB, replaced(r"^\$VEL_AXIS\[2\]", "=.*", "=31"), "$VEL_AXIS[2] = 31 is above 30 %"),
+    "path too fast": ("lin", SUB, replaced(r"^\$VEL\.CP", "=.*", "=3.1"), "$VEL.CP must be a number above 0 and at most 3"),
+    "path too sudden": ("lin", SUB, replaced(r"^\$ACC\.CP", "=.*", "=10.1"), "at most 10"),
+    "turns too fast": ("lin", SUB, replaced(r"^\$VEL\.ORI1", "=.*", "=401"), "at most 400"),
+    "turns too suddenly": ("lin", SUB, replaced(r"^\$ACC\.ORI2", "=.*", "=1001"), "at most 1000"),
+    "no such tool": ("axis", SUB, replaced(r"^\$ACT_TOOL", "=.*", "=129"), "from 1 to 128"),
+    "no such base": ("axis", SUB, replaced(r"^\$ACT_BASE", "=.*", "=0"), "from 1 to 128"),
+    "no such advance": ("lin", SUB, replaced(r"^\$ADVANCE", "=.*", "=6"), "from 1 to 5"),
+    "load below nothing": ("axis", SUB, replaced(r"^\$LOAD", r"J \{X [^,]*", "J {X -1.0"), "negative mass or inertia"),
+    "out of reach": ("lin", SUB, replaced("^LIN ", r"\{X [^,]*", "{X 99999.0", 2), "which reaches"),
+    "a stop before a change of speed": ("lin", SUB, replaced("^LIN ", " C_VEL", "", 2), "does not blend into this one"),
     "status wrong": ("cartesian", SUB, replaced("^  SPL ", r",S \d", ",S 2"), None),
     "status jumps": ("cartesian", SUB, replaced("^  SPL ", r",S \d", ",S 2", 3), "S changes"),
     "turn wrong": ("cartesian", SUB, replaced("^  SPL ", r",T \d+", ",T 0"), "T is 0"),
@@ -175,6 +187,8 @@ NAMED_ELSEWHERE = {
     "no header": "^&REL",
     "calls itself": "^",
     "DEFDAT in .src": "^END$",
+    "one axis fast at first": "^PTP ",
+    "a stop before a change of speed": "^LIN :3",
 }
 
 

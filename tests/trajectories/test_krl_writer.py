@@ -15,7 +15,7 @@ from trajectories.krl.dialect import KRL
 from trajectories.krl.interpreter import execute
 from trajectories.krl.status_turn import status_of, turn_of
 from trajectories.krl.values import FILE_LIMITS, fixed
-from trajectories.krl.writer import program_files
+from trajectories.krl.writer import program_files, refuse_unwritable, time_block
 from trajectories.program.build import build_program
 from trajectories.program.execution import PathBounds
 from trajectories.program.program import (
@@ -47,6 +47,23 @@ def short(kind):
 def test_the_text_is_the_golden_text(kind):
     for name, data in program_files(short(kind)).items():
         assert data == (GOLDEN / f"{kind}_{name}").read_bytes(), name
+
+
+def test_times_of_a_block_are_told_from_its_own_first():
+    points, t = ["{A}", "{B}", "{C}"], np.array([0.0, 0.5, 1.25])
+    assert time_block("PTP_SPLINE", "SPTP", points, t + 3.0) == time_block("PTP_SPLINE", "SPTP", points, t)
+
+
+def test_a_file_takes_as_many_points_as_the_controller_does():
+    def program(count):
+        spline = TimedSpline(np.zeros((count - 1, 6)), np.arange(count - 1.0))
+        return Program("GOLD", setup("axis"), (SubProgram("GOLD_01", (PointMotion(np.zeros(6)), spline), "line 1"),))
+
+    most = FILE_LIMITS.file_points
+    assert program(most).subs[0].points == most
+    refuse_unwritable(program(most))
+    with pytest.raises(BadInput, match=f"{most + 1} points and a file takes {most}"):
+        refuse_unwritable(program(most + 1))
 
 
 def test_the_same_program_is_the_same_bytes():
