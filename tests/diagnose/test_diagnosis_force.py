@@ -292,6 +292,17 @@ def test_gross_readings_are_no_gap_and_their_tails_are_no_noise(made):
     assert np.median([h.means[0] / h.means[2] for h in held if h is not None]) == pytest.approx(1.0, abs=0.15)
 
 
+def test_noise_that_held_what_has_a_name_now_is_estimated_anew(made, tmp_path):
+    """Stock in waves shorter than a cubic in time is slow noise until it is named: the floor, predictions' sigma and the promise
+    would keep that noise."""
+    stock = Planted(overlap=lambda b: 1e-4 * np.cos(5 * np.pi * b.columns["s"] / np.ptp(b.columns["s"])))
+    problem = replace(made.channel.problem, log=_log(made.base, (stock,), tmp_path)[0])
+    channel = ForceChannel(problem, fit_effects(problem), made.channel.effects)
+    assert channel.noise_floor > 1.2 * made.channel.noise_floor
+    after = channel.with_active((_active("stock_profile", 0, channel.scan(EFFECTS["stock_profile"], 0)[0]),))
+    assert after.noise_floor == pytest.approx(made.channel.noise_floor, rel=0.08)
+
+
 def test_fast_patterns_are_kept_where_averages_lose_them(made):
     channel, scanned = made.channel, {"clocked": 1.0}
     whiteners, about = channel.scored.whiteners, (channel.problem.scene, channel.fit.at, channel.fit.slopes)

@@ -26,9 +26,9 @@ CHANGED = 0.1  # relative change of a signal's scatter, of an effect's size, fro
 
 def refreshed(log: ForceLog, whitener: Whitener, residual: Array) -> Whitener:
     """The noise estimated about a later prediction: anew where the scatter has changed, else kept with new weights."""
-    noise = whitener.noise
+    noise, slow = whitener.noise, whitener.short(residual[:, None])
     white = whitener.whole(residual[:, None])[:, 0]
-    changed = False
+    changed = bool(0.5 * np.log(np.mean(slow**2)) < -CHANGED)  # slow noise held what only now has a name
     for kind in noise.kinds.values():
         steps = np.diff(white[kind.rows])  # what is slow is not noise
         spread = 1.4826 * np.median(np.abs(steps - np.median(steps))) / np.sqrt(2.0) if len(steps) else 1.0
