@@ -26,13 +26,12 @@ from ocp.diagnose.foresee.next_experiment import next_experiments
 from ocp.diagnose.foresee.patched import beside_unknown, patched, predictions, unnamed, with_patch
 from ocp.diagnose.joints.channel import JointChannel, joint_channel
 from ocp.diagnose.report.verdict_sentence import diagnosis_headline, not_written, told_as
-from ocp.diagnose.rules import FOLLOWED_FORCE, LEADS
+from ocp.diagnose.rules import LEADS
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.diagnose.tracker.refit import believed_baseline
 from ocp.diagnose.verdict.answer import Answer, SignalGap, known_beside, promised
 from ocp.diagnose.verdict.diagnosis import diagnose_channels
 from ocp.diagnose.verdict.patching import seen_by
-from ocp.diagnose.verdict.probabilities import gathered
 from ocp.effects.catalogue import library
 from ocp.effects.effect import Active, Effect, effects_key
 from ocp.effects.patch import PATCH
@@ -186,9 +185,7 @@ def predict_sealed(answer: Answer) -> dict[str, Sealed]:
     told = answer.diagnosis.alternatives or (Alternative(1.0, answer.diagnosis.active),)
     for signal, sealed in answer.asked.items():
         channel = next(c for c in answer.diagnosis.channels if c.name == signal)
-        least = 0.0 if signal == "tracker" else FOLLOWED_FORCE
         first, *others = seen_by(signal, told)
-        followed = [one for one in gathered(others, least) if one.probability >= least]
         # Both as they were fitted, each with the readings that it sets aside: the baseline, and the cell that is written.
         baseline, kept = (
             next(c for c in some if c.name == signal).predict(sealed, active)
@@ -196,7 +193,7 @@ def predict_sealed(answer: Answer) -> dict[str, Sealed]:
         )
         same = effects_key(first.active) == effects_key(answer.written)
         likeliest = first.probability, kept if same else channel.predict(sealed, first.active)
-        made = [likeliest, *predictions(channel, sealed, followed)]
+        made = [likeliest, *predictions(channel, sealed, others)]
         written = replace(beside_others(kept, made), baseline=baseline.corrected)
         found[signal] = replace(written, named=made[0][1].corrected, beyond=told_beyond(answer.data, signal, sealed))
         if answer.unknown is not None and signal == answer.unknown.after.name:

@@ -247,10 +247,7 @@ IMITATED = 0.5
 # ---------- alternatives and shrinkage
 FOLLOWED = 0.03
 """[-] Probability below which an alternative is not followed in predictions. Reason: it moves no prediction by more than 3 %
-of what the alternatives differ by."""
-
-FOLLOWED_FORCE = 0.15
-"""[-] The same of force readings. Reason: refitting a force log takes seconds."""
+of what the alternatives differ by, nor its sigma by more than 17 %, the square root."""
 
 MOST_FOLLOWED = 5
 """[sets] Alternatives beside the accepted one. Reason: time."""

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from ocp.diagnose import rules
+from ocp.diagnose import answering, rules
 from ocp.diagnose.answering import _at_rest, beside_others
 from ocp.diagnose.engine.beam import Weighed
 from ocp.diagnose.engine.channel_system import Fold, HeldOut, Sealed
@@ -357,6 +357,21 @@ def test_what_else_may_be_true_is_in_the_sigma_of_what_is_written():
     told = beside_others(parts[0][1], parts)
     assert np.allclose(told.corrected, 1.0)
     assert np.allclose(told.sigma**2, 0.75 * 0.01 + 0.25 * (0.09 + 1.0))
+
+
+def test_a_force_that_one_alternative_in_ten_predicts_is_in_sigma(monkeypatch):
+    """A mean follows one in ten by a tenth of what they differ by, a sigma by a third: promises and predictions follow alike."""
+    bias = Active(LIBRARY["sensor_bias"], 0, np.ones(1), {}, np.eye(1))
+
+    def predict(sealed, active):
+        return Sealed(np.zeros((2, 1)), np.full((2, 1), float(len(active))), np.full((2, 1), 0.1))
+
+    force, may_be = SimpleNamespace(name="force", predict=predict), (Alternative(0.9, (bias,)), Alternative(0.1, ()))
+    found = SimpleNamespace(alternatives=may_be, active=(bias,), channels=(force,), baseline=(force,), p_unknown=0.0)
+    monkeypatch.setattr(answering, "told_beyond", lambda *_: ())
+    shared = {"data": None, "unknown": None, "patch": None, "fitted": (force,), "written": (bias,), "gaps": ()}
+    told = answering.predict_sealed(SimpleNamespace(diagnosis=found, asked={"force": None}, **shared))["force"]
+    assert np.allclose(told.sigma**2, 0.01 + 0.1 * 1.0)
 
 
 def gap_of(low: float | None, shows: tuple[str, ...], **kinds: Shrinkage) -> SignalGap:
