@@ -4,7 +4,8 @@ values, and how far the gap shrank at conditions that nobody had measured, again
 A row holds everything that the figures need, so that they can be made again without opening anything.
 
 The truth is free of noise, as in the sealed truths of FORMATS' worlds: noise^2 = 0 in G^2 = max(0, mean square - noise^2) and G
-is the rms itself. Repeatability is noise; ripple and play, the same whenever an axis comes back, are not.
+is the rms itself. Repeatability is noise; ripple and play, the same whenever an axis comes back, are not, nor are the small drift
+and wear of a background, which go on.
 """
 
 import json
@@ -113,7 +114,7 @@ def realised_shrinkage(machine: BlindMachine, effects: tuple[Planted, ...], answ
     arm, on_arm = (machine, effects) if isinstance(machine, TrackerMachine) else (machine.arm, of_arm(effects))
     if isinstance(machine, GrindingMachine):
         if answer.get("predictions_force") is not None:
-            truth = machine.log(effects, sealed=True).fn[:, None]
+            truth = machine.log((*effects, *machine.small), sealed=True).fn[:, None]
             found["force"] = _realised(answer["predictions_force"], truth, lambda: _floor(machine) if effects else None)
     if arm is not None and answer["predictions"] is not None:
         truth = arm.points(on_arm, sealed=True)
@@ -144,7 +145,7 @@ def _floor(machine: BlindMachine) -> float:
     if isinstance(machine, TrackerMachine):
         signal, truth = "tracker", machine.points((), sealed=True)
     else:
-        signal, truth = "force", machine.log((), sealed=True).fn[:, None]
+        signal, truth = "force", machine.log(machine.small, sealed=True).fn[:, None]
     with tempfile.TemporaryDirectory() as folder:
         write_world(Path(folder), machine, ())
         data = read_data_set(folder)

@@ -10,6 +10,7 @@ from ocp.blindtest.interface import draw_effects
 from ocp.blindtest.oracle.force import ForceView, force_nuisance, force_view, noise_roots
 from ocp.blindtest.oracle.oracle import detectabilities, name_of
 from ocp.blindtest.oracle.signatures import force_families
+from ocp.blindtest.scoring import realised_shrinkage
 from ocp.blindtest.worlds.bench import Bench, drawn_runs, rows_of_runs
 from ocp.blindtest.worlds.machines import STORE, GrindingMachine, draw_grinding_machine
 from ocp.blindtest.worlds.outside_lists import ON_GRINDING
@@ -207,6 +208,14 @@ def test_sealed_rows_follow_on_the_others(machine):
     change = sealed.fn - machine.log((), sealed=True).fn
     facing = sealed.moments.n @ side
     assert len(change) == len(machine.sealed.s) and np.all(np.sign(change) == -np.sign(facing))
+
+
+def test_the_truth_is_that_of_the_machine_that_was_measured(machine):
+    """Its small drift and wear go on after the log, to 0.04 N: a truth without them is another machine's."""
+    truth = machine.log(machine.small, sealed=True).fn
+    assert np.abs(truth - machine.log((), sealed=True).fn).max() > 1e-3
+    told = {"predictions_force": dict.fromkeys(("baseline", "corrected", "named", "sigma"), truth), "predictions": None}
+    assert realised_shrinkage(machine, (), told)["realised"]["before"] < 1e-9
 
 
 def test_a_whole_campaign_has_what_tells_effects_apart(machine):
