@@ -303,6 +303,16 @@ def test_noise_that_held_what_has_a_name_now_is_estimated_anew(made, tmp_path):
     assert after.noise_floor == pytest.approx(made.channel.noise_floor, rel=0.08)
 
 
+def test_what_was_fitted_is_predicted_though_no_fit_on_both_laws_rests(made, monkeypatch):
+    def restless(*_):
+        raise Infeasible("the fit of the force log does not come to rest")
+
+    sealed = replace(made.channel.log, fn=np.full(len(made.channel.log), np.nan), ft=None)
+    told = made.channel.predict(sealed, ())
+    monkeypatch.setattr("ocp.diagnose.force.held_out.fit_effects", restless)
+    assert np.allclose(made.channel.predict(sealed, ()).corrected, told.corrected, atol=0.02)
+
+
 def test_fast_patterns_are_kept_where_averages_lose_them(made):
     channel, scanned = made.channel, {"clocked": 1.0}
     whiteners, about = channel.scored.whiteners, (channel.problem.scene, channel.fit.at, channel.fit.slopes)
