@@ -11,6 +11,7 @@ and wear of a background, which go on.
 import json
 import tempfile
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -93,6 +94,12 @@ def value_errors(planted: Planted, parameters: dict[str, Any]) -> tuple[float | 
         if sd is not None and np.all(sd > 0):
             z += [float(v) for v in off / sd]
     return error, z
+
+
+def with_small(planted: Planted, small: Sequence[Planted]) -> Planted:
+    """What is planted, as large as it is with what a background has of the same: that is measured, no label holds it."""
+    added = {one.effect: {key: one.number(key) for key in one.values} for one in small}.get(planted.effect, {})
+    return replace(planted, values=planted.values | {key: planted.number(key) + more for key, more in added.items()})
 
 
 def _levers(key: str, known: dict[str, Any]) -> float:
@@ -190,7 +197,10 @@ def scored(check: Check, label: Label, answer: dict[str, Any]) -> dict[str, Any]
         "error": answer["error"],
     }
     machine, rng = machine_of(check, recipe), np.random.default_rng((check.seed, recipe.index, _ORACLE))
-    row |= _of_oracle(label, oracle.observed(machine, effects, label.withheld, rng))
+    seen = oracle.observed(machine, effects, label.withheld, rng)
+    if isinstance(machine, GrindingMachine):
+        label = replace(label, effects=tuple(with_small(p, machine.small) for p in effects))
+    row |= _of_oracle(label, seen)
     if answer["error"] is None:
         groups = [set(map(tuple, group)) for group in row["true_classes"]]
         row |= _of_answer(label, answer, counted_signal(machine, effects))

@@ -10,7 +10,7 @@ from ocp.blindtest.interface import draw_effects
 from ocp.blindtest.oracle.force import ForceView, force_nuisance, force_view, noise_roots
 from ocp.blindtest.oracle.oracle import detectabilities, name_of
 from ocp.blindtest.oracle.signatures import force_families
-from ocp.blindtest.scoring import realised_shrinkage
+from ocp.blindtest.scoring import realised_shrinkage, with_small
 from ocp.blindtest.worlds.bench import Bench, drawn_runs, rows_of_runs
 from ocp.blindtest.worlds.machines import STORE, GrindingMachine, draw_grinding_machine
 from ocp.blindtest.worlds.outside_lists import ON_GRINDING
@@ -19,7 +19,7 @@ from ocp.blindtest.worlds.sealing import Check, log_noise, write_cell, write_wor
 from ocp.calibrate.force.log import read_force_log
 from ocp.data import CELL
 from ocp.effects.catalogue import library
-from ocp.simulate.twin.planting import draw_effect, parse_effect
+from ocp.simulate.twin.planting import Planted, draw_effect, parse_effect
 from ocp.simulate.twin.truth import PLACEMENT, SENSOR_SIGMA
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -216,6 +216,13 @@ def test_the_truth_is_that_of_the_machine_that_was_measured(machine):
     assert np.abs(truth - machine.log((), sealed=True).fn).max() > 1e-3
     told = {"predictions_force": dict.fromkeys(("baseline", "corrected", "named", "sigma"), truth), "predictions": None}
     assert realised_shrinkage(machine, (), told)["realised"]["before"] < 1e-9
+
+
+def test_a_value_is_judged_by_what_the_machine_has_of_it(machine):
+    drift, wear = machine.small
+    planted = Planted("wheel_wear", None, {"m_per_s": 1e-8})
+    assert with_small(planted, machine.small).number("m_per_s") == pytest.approx(1e-8 + wear.number("m_per_s"))
+    assert with_small(planted, ()) == planted and with_small(drift, (wear,)) == drift
 
 
 def test_a_whole_campaign_has_what_tells_effects_apart(machine):
