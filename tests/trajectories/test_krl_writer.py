@@ -16,7 +16,7 @@ from trajectories.krl.interpreter import execute
 from trajectories.krl.status_turn import status_of, turn_of
 from trajectories.krl.values import FILE_LIMITS, fixed
 from trajectories.krl.writer import program_files, refuse_unwritable, time_block
-from trajectories.program.build import build_program
+from trajectories.program.build import LINE_TIME, LINE_WAY, build_program
 from trajectories.program.execution import PathBounds
 from trajectories.program.program import (
     Comment,
@@ -64,6 +64,17 @@ def test_a_file_takes_as_many_points_as_the_controller_does():
     refuse_unwritable(program(most))
     with pytest.raises(BadInput, match=f"{most + 1} points and a file takes {most}"):
         refuse_unwritable(program(most + 1))
+
+
+@pytest.mark.parametrize("feed, least", [(0.04, 1e-3), (1e-3, 5e-5)])
+def test_lines_are_long_enough_to_be_planned_and_printed(feed, least):
+    """At a working feed 25 ms each, at the slowest as long as what printing rounds needs; to the last, which may not be short."""
+    program = build_program(KRL, "slow", setup("lin"), [[legs(feed)[2]]], ["line 1"], elementary_forward)
+    (lines,) = [b for sub in program.subs for b in sub.blocks if isinstance(b, PoseLines)]
+    way = np.linalg.norm(np.diff(lines.poses[:, :3, 3], axis=0), axis=1)
+    t = way / lines.speeds
+    assert way.min() > 0.9 * LINE_WAY and t.min() > LINE_TIME - 1e-6 and np.median(way) > 0.9 * least
+    assert t.sum() == pytest.approx(legs(feed)[2].trajectory.duration, rel=1e-6)
 
 
 def test_the_same_program_is_the_same_bytes():
