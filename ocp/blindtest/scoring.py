@@ -97,7 +97,7 @@ def value_errors(planted: Planted, parameters: dict[str, Any]) -> tuple[float | 
 
 
 def with_small(planted: Planted, small: Sequence[Planted]) -> Planted:
-    """What is planted, as large as it is with what a background has of the same: that is measured, no label holds it."""
+    """The planted values plus the background's own of the same effect, which is what was measured."""
     added = {one.effect: {key: one.number(key) for key in one.values} for one in small}.get(planted.effect, {})
     return replace(planted, values=planted.values | {key: planted.number(key) + more for key, more in added.items()})
 
@@ -197,10 +197,9 @@ def scored(check: Check, label: Label, answer: dict[str, Any]) -> dict[str, Any]
         "error": answer["error"],
     }
     machine, rng = machine_of(check, recipe), np.random.default_rng((check.seed, recipe.index, _ORACLE))
-    seen = oracle.observed(machine, effects, label.withheld, rng)
-    if isinstance(machine, GrindingMachine):
+    row |= _of_oracle(label, oracle.observed(machine, effects, label.withheld, rng))
+    if isinstance(machine, GrindingMachine):  # the oracle's readings hold no background of their own
         label = replace(label, effects=tuple(with_small(p, machine.small) for p in effects))
-    row |= _of_oracle(label, seen)
     if answer["error"] is None:
         groups = [set(map(tuple, group)) for group in row["true_classes"]]
         row |= _of_answer(label, answer, counted_signal(machine, effects))

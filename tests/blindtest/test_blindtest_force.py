@@ -2,10 +2,12 @@
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from ocp.blindtest import scoring
 from ocp.blindtest.interface import draw_effects
 from ocp.blindtest.oracle.force import ForceView, force_nuisance, force_view, noise_roots
 from ocp.blindtest.oracle.oracle import detectabilities, name_of
@@ -216,6 +218,14 @@ def test_the_truth_is_that_of_the_machine_that_was_measured(machine):
     assert np.abs(truth - machine.log((), sealed=True).fn).max() > 1e-3
     told = {"predictions_force": dict.fromkeys(("baseline", "corrected", "named", "sigma"), truth), "predictions": None}
     assert realised_shrinkage(machine, (), told)["realised"]["before"] < 1e-9
+
+
+def test_so_is_what_is_left_where_nothing_is_planted(machine, monkeypatch):
+    truth = machine.log(machine.small, sealed=True).fn[:, None]
+    bare = SimpleNamespace(name="force", predict=lambda *_: SimpleNamespace(baseline=truth))
+    for name, given in (("write_world", None), ("read_data_set", None), ("read_sealed", None), ("channels_of", [bare])):
+        monkeypatch.setattr(scoring, name, lambda *_, given=given: given)
+    assert scoring._floor(machine) < 1e-9
 
 
 def test_a_value_is_judged_by_what_the_machine_has_of_it(machine):

@@ -303,14 +303,33 @@ def test_noise_that_held_what_has_a_name_now_is_estimated_anew(made, tmp_path):
     assert after.noise_floor == pytest.approx(made.channel.noise_floor, rel=0.08)
 
 
-def test_what_was_fitted_is_predicted_though_no_fit_on_both_laws_rests(made, monkeypatch):
+@pytest.mark.parametrize("name", [None, "sensor_gain"])
+def test_what_was_fitted_is_predicted_though_no_fit_on_both_laws_rests(made, monkeypatch, name):
+    asked = []
+
     def restless(*_):
+        asked.append(name)
         raise Infeasible("the fit of the force log does not come to rest")
 
+    one = () if name is None else (_active(name, 0, {}),)
     sealed = replace(made.channel.log, fn=np.full(len(made.channel.log), np.nan), ft=None)
-    told = made.channel.predict(sealed, ())
+    told, fitted = made.channel.predict(sealed, one), made.channel.fitted_with(one)
+    made.channel.made.clear()
     monkeypatch.setattr("ocp.diagnose.force.held_out.fit_effects", restless)
-    assert np.allclose(made.channel.predict(sealed, ()).corrected, told.corrected, atol=0.02)
+    again = made.channel.predict(sealed, one)
+    assert fitted.fit.active is not None and len(asked) == (1 if name is None else 2)
+    assert np.allclose(again.corrected, told.corrected, atol=0.02) and np.allclose(again.sigma, told.sigma, rtol=0.1)
+    made.channel.made.clear()  # what others ask for is fitted
+
+
+def test_the_fit_without_effects_is_made_once_for_all_alternatives(made, monkeypatch):
+    sealed, fits = replace(made.channel.log, fn=np.full(len(made.channel.log), np.nan), ft=None), []
+    monkeypatch.setattr(
+        "ocp.diagnose.force.held_out.fit_effects", lambda own, active, fit: fits.append(active) or fit_effects(own, active, fit)
+    )
+    for name in ("sensor_gain", "sensor_bias"):
+        made.channel.predict(sealed, (_active(name, 0, {}),))
+    assert [len(active) for active in fits] == [0, 1, 1]
 
 
 def test_fast_patterns_are_kept_where_averages_lose_them(made):

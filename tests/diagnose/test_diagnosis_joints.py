@@ -7,14 +7,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
+from scipy.stats import multivariate_normal
 
+from ocp.diagnose import rules
 from ocp.diagnose.answering import answer_of, columns_predicted, predict_sealed, write_predictions
 from ocp.diagnose.dataset import read_data_set
 from ocp.diagnose.engine.channel_system import SCALE, Fold, HeldOut
 from ocp.diagnose.engine.findings import Name
 from ocp.diagnose.joints.channel import joint_channel
 from ocp.diagnose.joints.log import read_joint_log
-from ocp.diagnose.joints.signals import BLOCK, EncoderNoise, covariance, factors, whiten_blocks
+from ocp.diagnose.joints.signals import BLOCK, EncoderNoise, covariance, factors, unlikely, whiten_blocks
 from ocp.diagnose.report.verdict_sentence import verdict_sentence
 from ocp.diagnose.verdict.diagnosis import diagnose_channels
 from ocp.diagnose.verdict.shrinkage import from_folds, realised
@@ -37,6 +39,19 @@ def fresh(name: str, joint: int) -> Active:
 def channel_of(folder: Path, **options):
     write_csv(folder / "joints.csv", joint_columns(**options))
     return joint_channel(read_joint_log(folder / "joints.csv"), EXTRA, PAYLOADS["grinder"])
+
+
+def test_the_likelihood_of_an_encoder_s_noise_is_a_normal_s_and_so_is_its_slope():
+    rng, t = np.random.default_rng(3), np.sort(np.random.default_rng(4).uniform(0.0, 0.2, 30))
+    lags = np.abs(t[:, None] - t)
+    parts, logs = [(1e-5 * rng.normal(size=30), lags) for _ in range(2)], np.log([1e-5, 6e-6, 0.03])
+    white, wander, memory = np.exp(logs)
+    spread = wander**2 * np.exp(-lags / memory) + (white**2 + rules.LEAST_ENCODER_NOISE**2) * np.eye(30)
+    exact = -sum(multivariate_normal.logpdf(left, cov=spread) for left, _ in parts)
+    assert unlikely(logs, parts)[0] + 30 * np.log(2 * np.pi) == pytest.approx(exact)
+    steps = 1e-5 * np.eye(3)
+    apart = [(unlikely(logs + h, parts)[0] - unlikely(logs - h, parts)[0]) / 2e-5 for h in steps]
+    assert unlikely(logs, parts)[1] == pytest.approx(apart, rel=1e-5)
 
 
 def test_a_delay_is_found_to_a_hundredth_of_a_step(tmp_path):

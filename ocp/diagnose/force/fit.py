@@ -21,6 +21,7 @@ from robots.gauss_newton import Minimum, Rule, Valley, minimise
 from robots.pose import Array
 
 BLOCKS = (300, 150)  # of a log that are kept of its rows, of fn and ft: whitened rows are averaged to about so many
+BY_CHANCE = 3  # standard deviations of the scatter of so many averages
 CHANGED = 0.1  # relative change of a signal's scatter, of an effect's size, from which it is estimated anew
 
 
@@ -28,7 +29,8 @@ def refreshed(log: ForceLog, whitener: Whitener, residual: Array) -> Whitener:
     """The noise estimated about a later prediction: anew where the scatter has changed, else kept with new weights."""
     noise, slow = whitener.noise, whitener.short(residual[:, None])
     white = whitener.whole(residual[:, None])[:, 0]
-    changed = bool(0.5 * np.log(np.mean(slow**2)) < -CHANGED)  # slow noise held what only now has a name
+    # Slow noise that held what only now has a name leaves averages smaller than chance does.
+    changed = bool(np.mean(slow**2) < np.exp(-2.0 * max(CHANGED, BY_CHANCE / np.sqrt(2.0 * len(slow)))))
     for kind in noise.kinds.values():
         steps = np.diff(white[kind.rows])  # what is slow is not noise
         spread = 1.4826 * np.median(np.abs(steps - np.median(steps))) / np.sqrt(2.0) if len(steps) else 1.0

@@ -148,24 +148,25 @@ class Asked:
     def refitted(self, own: ForceProblem, fit: EffectFit, known: Sequence[Active]) -> "Refitted":
         """A fit to the log on the law for both, effects of `known` at their sizes."""
         measured, again = replace(own, scene=replace(own.scene, model=self.there.model, rows=self.measured)), fit
-        with suppress(Infeasible):  # on a law so little another the fit that was there is near enough
+        with suppress(Infeasible):  # the two laws differ so little that the fit as it was is near enough
             again = fit_effects(measured, fit.active, fit)
         x, active, covariance = at_known_sizes(own, again, known)
         told = predict_forces(self.there, x, predictable(active, self.says).known)
-        return Refitted(fit, replace(again, at=replace(again.at, x=x, active=active)), covariance, told)
+        return Refitted((own, fit), replace(again, at=replace(again.at, x=x, active=active)), covariance, told)
 
     def bare(self, own: ForceProblem, fit: EffectFit) -> "Refitted":
         """`refitted` without effects."""
-        if "bare" not in self._latest or self._latest["bare"].of is not fit:
-            self._latest["bare"] = self.refitted(own, fit, ())
-        return self._latest["bare"]
+        kept = self._latest.get("bare")
+        if kept is None or kept.of[0] is not own or kept.of[1] is not fit:
+            kept = self._latest["bare"] = self.refitted(own, fit, ())
+        return kept
 
 
 @dataclass(frozen=True)
 class Refitted:
     """A fit `of` a log, as it is on another law of the wheel: fit, covariance (k, k) of its unknowns, what it predicts."""
 
-    of: EffectFit
+    of: Fitted
     fit: EffectFit
     covariance: Array
     told: Predicted

@@ -8,6 +8,7 @@ from the gap under diagnosis, which would hide in the wander. A link-side encode
 its accuracy class: so much of what springs, friction and a delay leave belongs to the wander too.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -298,24 +299,29 @@ def _likeliest(left: Array, pieces: list[Index], time: Array, longest: bool = Fa
     length = max(float(np.ptp(time[pieces[0]])), 20 * step)
     shortest = length / 20 if longest else 2 * step
 
-    blocks_apart = [np.abs(time[piece][:, None] - time[piece]) for piece in pieces]
-
-    def unlikely(x: Array) -> tuple[float, Array]:
-        """Minus log likelihood, and its slope."""
-        white, wander, memory = size * np.exp(x[0]), size * np.exp(x[1]), step * np.exp(x[2])
-        total, slope = 0.0, np.zeros(3)
-        for piece, apart in zip(pieces, blocks_apart, strict=True):
-            wanders, own = wander**2 * np.exp(-apart / memory), np.eye(len(piece))
-            root = cho_factor(wanders + (white**2 + rules.LEAST_ENCODER_NOISE**2) * own, lower=True)
-            weighed = cho_solve(root, left[piece])
-            total += 0.5 * float(left[piece] @ weighed) + float(np.log(np.diag(root[0])).sum())
-            in_covariance = cho_solve(root, own) - np.outer(weighed, weighed)
-            by_wander = in_covariance * wanders
-            slope += [white**2 * np.trace(in_covariance), by_wander.sum(), 0.5 * (by_wander * apart).sum() / memory]
-        return total, slope
-
+    parts = [(left[piece], np.abs(time[piece][:, None] - time[piece])) for piece in pieces]
+    unit = np.log([size, size, step])
     bounds = [(-4.0, 0.5), (-5.0, 1.0), (np.log(shortest / step), np.log(length / 4 / step))]
     starts = [(-0.3, -1.0, bounds[2][0] + 0.1), (-2.0, 0.0, 0.5 * (bounds[2][0] + bounds[2][1]))]
-    found = [minimize(unlikely, s, jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": 40}) for s in starts]
+    found = [
+        minimize(lambda x: unlikely(unit + x, parts), s, jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": 40})
+        for s in starts
+    ]
     best = min(found, key=lambda f: float(f.fun))
     return float(size * np.exp(best.x[0])), float(size * np.exp(best.x[1])), float(step * np.exp(best.x[2]))
+
+
+def unlikely(logs: Array, parts: Sequence[tuple[Array, Array]]) -> tuple[float, Array]:
+    """Minus the log likelihood, but for a constant, of residuals (m,) rad with their lags (m, m) s, part by part, and its slope
+    (3,) in `logs`, the logarithms of white rad, wander rad and memory s."""
+    white, wander, memory = np.exp(logs)
+    total, slope = 0.0, np.zeros(3)
+    for left, lags in parts:
+        wanders, own = wander**2 * np.exp(-lags / memory), np.eye(len(left))
+        root = cho_factor(wanders + (white**2 + rules.LEAST_ENCODER_NOISE**2) * own, lower=True)
+        weighed = cho_solve(root, left)
+        total += 0.5 * float(left @ weighed) + float(np.log(np.diag(root[0])).sum())
+        in_covariance = cho_solve(root, own) - np.outer(weighed, weighed)
+        by_wander = in_covariance * wanders
+        slope += [white**2 * np.trace(in_covariance), by_wander.sum(), 0.5 * (by_wander * lags).sum() / memory]
+    return total, slope

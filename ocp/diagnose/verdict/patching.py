@@ -19,7 +19,7 @@ from ocp.diagnose.engine.findings import Alternative, Name
 from ocp.diagnose.engine.kernels import conditions_by_name, is_periodic, kernels, middle_of
 from ocp.diagnose.engine.linearisation import Linearisation, kernel_families
 from ocp.diagnose.engine.pool import given, make_pool, scan
-from ocp.effects.effect import Active
+from ocp.effects.effect import Active, effects_key
 from ocp.effects.patch import ON_ARM, ON_BEAM, PATCH, conditions_of, is_patch, make_patch
 from robots.errors import Infeasible
 
@@ -125,11 +125,13 @@ def read_beside(one: Active) -> Active:
 
 
 def seen_by(signal: str, alternatives: Sequence[Alternative]) -> tuple[Alternative, ...]:
-    """Alternatives as one signal sees them: without the patches of others."""
-    return tuple(
-        replace(one, active=tuple(a for a in one.active if not is_patch(a.effect) or a.scanned["signal"] == signal))
-        for one in alternatives
-    )
+    """Alternatives as one signal sees them: without the patches of others, those that are then alike as one."""
+    found: dict[tuple[object, ...], Alternative] = {}
+    for one in alternatives:
+        active = tuple(a for a in one.active if not is_patch(a.effect) or a.scanned["signal"] == signal)
+        same = found.get(key := effects_key(active))
+        found[key] = replace(same or one, active=active, probability=one.probability + (same.probability if same else 0.0))
+    return tuple(found.values())
 
 
 def unfaded(active: Sequence[Active]) -> tuple[Active, ...]:
