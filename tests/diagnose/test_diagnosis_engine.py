@@ -386,6 +386,32 @@ def test_a_value_is_as_unsure_as_the_order_of_its_wave():
     assert 0.0 < sd["order"] < 2.0
 
 
+class Decay(LinearChannel):
+    """An effect that falls with x at a rate that is scanned and may be any."""
+
+    def variants(self, e, joint, scans=None):
+        chosen = tuple(e.scan(joint, self.surroundings) if scans is None else scans)
+        x = np.linspace(0.0, 1.0, len(self.y))
+        return chosen, np.stack([10.0 * np.exp(-s["rate"] * x) for s in chosen], axis=1)[:, :, None]
+
+
+def test_a_value_is_as_unsure_as_a_number_that_was_moved():
+    """A fast decay that begins high looks like a slow one that begins low."""
+    rates = tuple({"rate": float(r)} for r in np.linspace(0.5, 4.0, 29))
+    library = {"decay": replace(effect("decay", scans=rates, low=0.9), symbolic=("rate",))}
+    inside, alone, x = 0, 0, np.linspace(0.0, 1.0, 60)
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        a, rate = rng.normal(), rng.uniform(1.0, 3.5)
+        y = 10.0 * a * np.exp(-rate * x) + rng.normal(size=60)
+        whole = linearised([Decay(y, np.zeros((60, 1)), np.ones(1), {("decay", 0): None})], library, Options())
+        best = weigh(whole.pool, [0])
+        (one,) = whole.values(best)
+        off, sd = abs(one.parameters["a0"] - a), whole.deviations({frozenset([0]): best}, one)["a0"]
+        inside, alone = inside + (off < 1.645 * sd), alone + (off < 1.645 * one.deviations["a0"])
+    assert alone < 49 < 51 < inside < 59, (inside, alone)
+
+
 def test_a_value_is_as_unsure_as_what_stands_beside_it():
     """Of two companions that the readings tell apart with odds of ten, one turns the value by half of itself."""
     rng = np.random.default_rng(1)

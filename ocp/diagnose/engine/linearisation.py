@@ -19,6 +19,7 @@ from ocp.effects.effect import Active, Effect, Scanned, deviations_among, scan_k
 from robots.gauss_newton import linear_step
 from robots.pose import Array
 
+FIXED = ("order", "source_joint", "clocked")  # whole numbers that are scanned
 Ripples = tuple[Array, Array]
 """Sizes (s,) rad of a gear's ripple, and posterior (6, s) of that of each joint from what the other joints show."""
 
@@ -161,6 +162,13 @@ def smallest_seen(
     return float(np.sqrt(visible_lambda(energy, effect.size, sizes, each, rival, beside) / max(energy, 1e-12)))
 
 
+def movable(f: Family) -> tuple[str, ...]:
+    """Scanned keys that may have any value, and are moved to the likeliest."""
+    if f.effect is None:
+        return ()
+    return tuple(k for k in f.effect.symbolic if k not in FIXED and all(isinstance(s.get(k), float) for s in f.scans))
+
+
 def has_twin(effect: Effect, joint: int, scans: Sequence[Scanned], among: int = 0) -> bool:
     """Whether every machine has a little of it: ripples of many orders."""
     return max(len(scans), among) > 1 and joint > 0 and "amplitude_rad" in {p.key for p in effect.parameters}
@@ -247,19 +255,35 @@ class Linearisation:
         m = self.member(weighed, Name(*one.key))
         return np.asarray(self.pool.columns(m) @ (one.a / self.pool.families[m.family].scale))
 
-    def values(self, weighed: Weighed) -> tuple[Active, ...]:
+    def values(self, weighed: Weighed, free: Name | None = None) -> tuple[Active, ...]:
         """Effects of a set with their values and covariance, everything in the set fitted together, priors at the upper ends;
-        in the order of their names."""
+        in the order of their names. free: whose scanned numbers are not known better than the readings tell them."""
         if not weighed.members:
             return ()
         families = [self.pool.families[m.family] for m in weighed.members]
         C, scale = np.hstack([self.pool.columns(m) for m in weighed.members]), np.concatenate([f.scale for f in families])
         a = scale * linear_step(self.pool.y, C, np.zeros(len(scale)), np.ones(len(scale)), RANK).change
-        covariance = np.asarray(np.linalg.inv(np.eye(len(scale)) + C.T @ C) * np.outer(scale, scale))
         blocks = np.split(np.arange(len(scale)), np.cumsum([len(f.scale) for f in families])[:-1])
-        rows = [(m, f, k, f.effect) for m, f, k in zip(weighed.members, families, blocks, strict=True)]
-        found = [Active(e, f.name.joint, a[k], f.scans[m.variant], covariance[np.ix_(k, k)]) for m, f, k, e in rows if e]
+        rows = list(zip(weighed.members, families, blocks, strict=True))
+        moved = [self.moving(f, m.variant, a[k]) for m, f, k in rows if f.name == free]
+        every = np.hstack([C, *moved])
+        covariance = np.linalg.inv(np.eye(every.shape[1]) + every.T @ every)[: len(a), : len(a)] * np.outer(scale, scale)
+        found = [
+            Active(f.effect, f.name.joint, a[k], f.scans[m.variant], covariance[np.ix_(k, k)]) for m, f, k in rows if f.effect
+        ]
         return tuple(sorted(found, key=lambda one: one.key))
+
+    def moving(self, f: Family, variant: int, a: Array) -> Array:
+        """Projected columns (N, k) of an effect, coefficients a (m,), for its `movable` numbers, per half of what is scanned."""
+        scanned, ends = f.scans[variant], list[Scanned]()
+        for key in movable(f):
+            step = rules.MOVED * 0.5 * float(np.ptp([s[key] for s in f.scans]))
+            ends += [{**scanned, key: scanned[key] + step}, {**scanned, key: scanned[key] - step}]
+        columns, seen = stacked_columns(self.channels, f.effect, f.name.joint, ends) if f.effect and ends else (None, ())
+        if columns is None or not seen:
+            return np.zeros((len(self.pool.y), len(ends) // 2))
+        changes = self.stack.apply(columns @ a)
+        return np.asarray((changes[:, ::2] - changes[:, 1::2]) / (2.0 * rules.MOVED))
 
     def variants(self, weighed: Weighed, name: Name) -> tuple[Member, tuple[Member, ...], Array]:
         """The member of a set that has a name, the others, and beside them the log evidence (V,) of its family's variants."""
@@ -271,14 +295,21 @@ class Linearisation:
         """Standard deviations of an effect's values by key, over all that the readings hardly tell apart: its variants, as a wave
         fits nearly as well with the next order, at another phase, and what else these sets hold beside it."""
         name, likely, whole = Name(*one.key), list[tuple[float, Active]](), 0.0
-        best = self.best_with(sets, name)
+        best, family = self.best_with(sets, name), self.pool.families[self.index[name]]
+        slopes = self.moving(family, self.member(best, name).variant, one.a)
+        smooth = [k for k, slope in zip(movable(family), slopes.T, strict=True) if slope.any()]
+        apart = [scan_key({k: v for k, v in scan.items() if k not in smooth}) for scan in family.scans]
         for weighed in (s for k, s in sets.items() if self.index[name] in k and s.log > best.log + np.log(rules.FOLLOWED)):
             m, others, log = self.variants(weighed, name)
             share = np.exp(log - np.logaddexp.reduce(log) + weighed.log - best.log)
             whole += float(share.sum())
-            for v in np.flatnonzero(share > rules.LISTED):
-                found = self.values(replace(weighed, members=(*others, m._replace(variant=int(v)))))
-                likely += [(float(share[v]), one if weighed is best and v == m.variant else a) for a in found if a.key == one.key]
+            for alike in dict.fromkeys(apart):  # variants that differ in what is free as it is are one
+                some = np.array([k for k, key in enumerate(apart) if key == alike])
+                v, of_all = int(some[np.argmax(share[some])]), float(share[some].sum())
+                if of_all > rules.LISTED:
+                    found = self.values(replace(weighed, members=(*others, m._replace(variant=v))), name)
+                    (other,) = (found_one for found_one in found if found_one.key == one.key)
+                    likely.append((of_all, replace(other, a=one.a) if weighed is best and v == m.variant else other))
         return deviations_among(one, [(share / whole, other) for share, other in likely])
 
     def taken(self, weighed: Weighed) -> Given:

@@ -30,7 +30,7 @@ from ocp.diagnose.engine.beam import NOTHING, Key, Search, Weighed, weigh
 from ocp.diagnose.engine.channel_system import Channel, WeighedReadings, is_outlier
 from ocp.diagnose.engine.evidence import log_evidence
 from ocp.diagnose.engine.findings import Name, Options
-from ocp.diagnose.engine.linearisation import Linearisation, linearised, stacked_columns
+from ocp.diagnose.engine.linearisation import Linearisation, linearised, movable, stacked_columns
 from ocp.diagnose.engine.pool import Given, Member, given, squares
 from ocp.diagnose.engine.selection import misses_far_more_than_noise
 from ocp.effects.effect import Active, Effect, Scanned, effects_key
@@ -267,7 +267,6 @@ def _sharpened(problem: Linearisation) -> list[Channel]:
 
 
 HALVINGS = 4
-FIXED = ("order", "source_joint")  # whole numbers
 
 
 def refined(problem: Linearisation, weighed: Weighed, active: Sequence[Active]) -> tuple[Active, ...]:
@@ -276,10 +275,10 @@ def refined(problem: Linearisation, weighed: Weighed, active: Sequence[Active]) 
 
 
 def _sharper(problem: Linearisation, weighed: Weighed, one: Active) -> Active:
-    keys = [k for k in one.effect.symbolic if k not in FIXED and isinstance(one.scanned.get(k), float)]
+    family = next(f for n, f in problem.index.items() if (n.effect, n.joint) == one.key)
+    keys = movable(problem.pool.families[family])
     if not keys:
         return one
-    family = next(f for n, f in problem.index.items() if (n.effect, n.joint) == one.key)
     others = given(problem.pool, [Member(m.family, m.variant, 1.0) for m in weighed.members if m.family != family])
     scans = problem.pool.families[family].scans
     steps = {k: _spacing([s[k] for s in scans if k in s]) for k in keys}

@@ -124,12 +124,12 @@ def _errors(problem: ForceProblem, fit: EffectFit, change: Array) -> Array:
 @dataclass(frozen=True)
 class Asked:
     """Conditions that are asked for, and the log before them, with one law of the wheel for both: rows of the log, the scene
-    there. The fit without effects is at hand, which every alternative is compared with."""
+    there. What the fit without effects says is kept: every alternative is compared with it."""
 
     sealed: ForceLog
     measured: ForceRows
     there: LogScene
-    _latest: dict[str, "Refitted"] = field(default_factory=dict, repr=False)
+    kept: dict[str, Any] = field(default_factory=dict, repr=False)
 
     @staticmethod
     def of(log: ForceLog, scene: LogScene, sealed: ForceLog) -> "Asked":
@@ -145,32 +145,6 @@ class Asked:
         """Whether they have every column that an effect needs."""
         return self.there.conditions.given.issuperset(effect.needs)
 
-    def refitted(self, own: ForceProblem, fit: EffectFit, known: Sequence[Active]) -> "Refitted":
-        """A fit to the log on the law for both, effects of `known` at their sizes."""
-        measured, again = replace(own, scene=replace(own.scene, model=self.there.model, rows=self.measured)), fit
-        with suppress(Infeasible):  # the two laws differ so little that the fit as it was is near enough
-            again = fit_effects(measured, fit.active, fit)
-        x, active, covariance = at_known_sizes(own, again, known)
-        told = predict_forces(self.there, x, predictable(active, self.says).known)
-        return Refitted((own, fit), replace(again, at=replace(again.at, x=x, active=active)), covariance, told)
-
-    def bare(self, own: ForceProblem, fit: EffectFit) -> "Refitted":
-        """`refitted` without effects."""
-        kept = self._latest.get("bare")
-        if kept is None or kept.of[0] is not own or kept.of[1] is not fit:
-            kept = self._latest["bare"] = self.refitted(own, fit, ())
-        return kept
-
-
-@dataclass(frozen=True)
-class Refitted:
-    """A fit `of` a log, as it is on another law of the wheel: fit, covariance (k, k) of its unknowns, what it predicts."""
-
-    of: Fitted
-    fit: EffectFit
-    covariance: Array
-    told: Predicted
-
 
 def predict_sealed_force(before: Fitted, after: Fitted, asked: Asked, known: Sequence[Active] = ()) -> Sealed:
     """Normal readings (n, 1) N of conditions without and with effects, what the sensor adds in, and one sigma of the noise-free
@@ -180,13 +154,24 @@ def predict_sealed_force(before: Fitted, after: Fitted, asked: Asked, known: Seq
     The wheel's law was fitted again to cover both logs, and the contact is refitted to the first on it.
     """
     problem, scene, there = after[0], after[0].scene, asked.there
-    bare = asked.bare(*before)
-    one = bare if after[1] is before[1] else asked.refitted(*after, known)
-    parted = predictable(one.fit.active, asked.says)
+
+    def told(own: ForceProblem, fit: EffectFit, known: Sequence[Active]) -> tuple[EffectFit, Array, Predicted]:
+        measured, again = replace(own, scene=replace(own.scene, model=there.model, rows=asked.measured)), fit
+        with suppress(Infeasible):  # the two laws differ so little that the fit as it was is near enough
+            again = fit_effects(measured, fit.active, fit)
+        x, active, covariance = at_known_sizes(own, again, known)
+        again = replace(again, at=replace(again.at, x=x, active=active))
+        return again, covariance, predict_forces(there, x, predictable(active, asked.says).known)
+
+    if asked.kept.get("of") is not before[0]:
+        asked.kept.update(of=before[0], told=told(*before, ()))
+    bare = asked.kept["told"]
+    fit, covariance, corrected = bare if after[1] is before[1] else told(*after, known)
+    parted = predictable(fit.active, asked.says)
     setpoint = scene.cell.flange.setpoint if scene.cell.flange is not None else 0.0
-    more = _changed(problem.log, asked.sealed, setpoint) + _unshown(scene, one.fit, parted)
-    sigma = _sigma(problem, there, one.covariance, one.told, parted.kept, more)
-    return Sealed(bare.told.fn[:, None], one.told.fn[:, None], sigma[:, None], parted.lacking)
+    more = _changed(problem.log, asked.sealed, setpoint) + _unshown(scene, fit, parted)
+    sigma = _sigma(problem, there, covariance, corrected, parted.kept, more)
+    return Sealed(bare[2].fn[:, None], corrected.fn[:, None], sigma[:, None], parted.lacking)
 
 
 def at_known_sizes(problem: ForceProblem, fit: EffectFit, known: Sequence[Active]) -> tuple[Array, tuple[Active, ...], Array]:
