@@ -295,21 +295,15 @@ class Linearisation:
         """Standard deviations of an effect's values by key, over all that the readings hardly tell apart: its variants, as a wave
         fits nearly as well with the next order, at another phase, and what else these sets hold beside it."""
         name, likely, whole = Name(*one.key), list[tuple[float, Active]](), 0.0
-        best, family = self.best_with(sets, name), self.pool.families[self.index[name]]
-        slopes = self.moving(family, self.member(best, name).variant, one.a)
-        smooth = [k for k, slope in zip(movable(family), slopes.T, strict=True) if slope.any()]
-        apart = [scan_key({k: v for k, v in scan.items() if k not in smooth}) for scan in family.scans]
+        best = self.best_with(sets, name)
         for weighed in (s for k, s in sets.items() if self.index[name] in k and s.log > best.log + np.log(rules.FOLLOWED)):
             m, others, log = self.variants(weighed, name)
             share = np.exp(log - np.logaddexp.reduce(log) + weighed.log - best.log)
             whole += float(share.sum())
-            for alike in dict.fromkeys(apart):  # variants that differ in what is free as it is are one
-                some = np.array([k for k, key in enumerate(apart) if key == alike])
-                v, of_all = int(some[np.argmax(share[some])]), float(share[some].sum())
-                if of_all > rules.LISTED:
-                    found = self.values(replace(weighed, members=(*others, m._replace(variant=v))), name)
-                    (other,) = (found_one for found_one in found if found_one.key == one.key)
-                    likely.append((of_all, replace(other, a=one.a) if weighed is best and v == m.variant else other))
+            for v in np.flatnonzero(share > rules.LISTED):
+                found = self.values(replace(weighed, members=(*others, m._replace(variant=int(v)))), name)
+                (other,) = (a for a in found if a.key == one.key)
+                likely.append((float(share[v]), replace(other, a=one.a) if weighed is best and v == m.variant else other))
         return deviations_among(one, [(share / whole, other) for share, other in likely])
 
     def taken(self, weighed: Weighed) -> Given:
