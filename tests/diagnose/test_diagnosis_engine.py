@@ -542,7 +542,7 @@ def test_a_scanned_number_is_not_sharpened_to_where_physics_has_none(monkeypatch
     monkeypatch.setattr(engine_search, "_evidence", evidence)
     monkeypatch.setattr(engine_search, "given", lambda pool, members: None)
     name = Name("belt_tension", 0)
-    family = SimpleNamespace(scans=tuple({"half_per_m": h} for h in (10.0, 50.0, 250.0)))
+    family = SimpleNamespace(effect=belt, scans=tuple({"half_per_m": h} for h in (10.0, 50.0, 250.0)))
     problem = SimpleNamespace(index={name: 0}, pool=SimpleNamespace(families=[family]))
     one = engine_search._sharper(problem, Weighed(0.0, ()), Active(belt, 0, np.ones(1), {"half_per_m": 50.0}, np.eye(1)))
     assert one.scanned["half_per_m"] == min(tried) == 10.0

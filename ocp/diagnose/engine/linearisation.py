@@ -265,20 +265,15 @@ class Linearisation:
         a = scale * linear_step(self.pool.y, C, np.zeros(len(scale)), np.ones(len(scale)), RANK).change
         blocks = np.split(np.arange(len(scale)), np.cumsum([len(f.scale) for f in families])[:-1])
         rows = list(zip(weighed.members, families, blocks, strict=True))
-        moved = [self.moving(f, m.variant, a[k]) for m, f, k in rows if f.name == free]
-        every = np.hstack([C, *moved])
-        covariance = np.linalg.inv(np.eye(every.shape[1]) + every.T @ every)[: len(a), : len(a)] * np.outer(scale, scale)
-        found = [
-            Active(f.effect, f.name.joint, a[k], f.scans[m.variant], covariance[np.ix_(k, k)]) for m, f, k in rows if f.effect
-        ]
+        every = np.hstack([C, *(self.moving(f, m.variant, a[k]) for m, f, k in rows if f.name == free)])
+        spread = np.linalg.inv(np.eye(every.shape[1]) + every.T @ every)[: len(a), : len(a)] * np.outer(scale, scale)
+        found = (Active(f.effect, f.name.joint, a[k], f.scans[m.variant], spread[np.ix_(k, k)]) for m, f, k in rows if f.effect)
         return tuple(sorted(found, key=lambda one: one.key))
 
     def moving(self, f: Family, variant: int, a: Array) -> Array:
         """Projected columns (N, k) of an effect, coefficients a (m,), for its `movable` numbers, per half of what is scanned."""
-        scanned, ends = f.scans[variant], list[Scanned]()
-        for key in movable(f):
-            step = rules.MOVED * 0.5 * float(np.ptp([s[key] for s in f.scans]))
-            ends += [{**scanned, key: scanned[key] + step}, {**scanned, key: scanned[key] - step}]
+        at, half = f.scans[variant], {key: 0.5 * float(np.ptp([s[key] for s in f.scans])) for key in movable(f)}
+        ends = [{**at, key: at[key] + side * half[key]} for key in half for side in (rules.MOVED, -rules.MOVED)]
         columns, seen = stacked_columns(self.channels, f.effect, f.name.joint, ends) if f.effect and ends else (None, ())
         if columns is None or not seen:
             return np.zeros((len(self.pool.y), len(ends) // 2))

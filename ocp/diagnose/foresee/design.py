@@ -15,7 +15,8 @@ from pathlib import Path
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from ocp.calibrate.force.log import AXES, FEED, NORMAL, POINT, ForceLog, log_of_table, read_force_log
+from ocp.calibrate.force.log import ForceLog, read_force_log
+from ocp.calibrate.force.planned import log_of_plan
 from ocp.diagnose.engine.channel_system import UNSEEN, Channel, needs_motion
 from ocp.diagnose.engine.evidence import project
 from ocp.diagnose.engine.linearisation import log_odds, smallest_seen
@@ -26,9 +27,9 @@ from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.effects.catalogue import library
 from ocp.effects.effect import Effect, Parameter, Scanned
 from ocp.model.cell import TrackerSetup, read_cell, read_tracker_setup
-from robots.csv_table import columns_named, read_csv_table
+from robots.csv_table import columns_named
 from robots.errors import BadInput
-from robots.pose import Array, Index
+from robots.pose import Array
 from robots.tracker_readings import read_readings
 
 POSES, FULL = 50, 150  # the plan looked at where none is given; the campaign held against it
@@ -221,57 +222,14 @@ def _row(cells: Sequence[str], widths: Sequence[int]) -> str:
     return "  ".join(f"{cell:<{w}}" for cell, w in zip(cells, widths, strict=True)).rstrip()
 
 
-NEEDED = ("time_s", "line", "contact", *AXES, *POINT, *NORMAL, *FEED)  # of a plan.csv
-ALONG = ("s_mm", "feed_mm_s")  # told by a plan.csv too
-
-
 def read_planned_log(path: Path) -> ForceLog:
     """Planned rows; forces nan (fn) or what stands there (ft, which says that it will be logged).
 
     A file without a column run is taken for a plan.csv: every passage in contact is a recording, the program's clock that of the
     campaign, no line was ground before. Raises BadInput: as `read_force_log`, and where too few rows are in contact.
     """
-    log = read_force_log(path, sealed=True) if "run" in columns_named(path) else _log_of_plan(path)
+    log = read_force_log(path, sealed=True) if "run" in columns_named(path) else log_of_plan(path)
     count = int(log.contact.sum())
     if count < LEAST_CONTACT_ROWS:
         raise BadInput(f"{path}, column contact: {count} rows in contact tell nothing; plan at least {LEAST_CONTACT_ROWS}")
     return log
-
-
-def _log_of_plan(path: Path) -> ForceLog:
-    """Rows in contact of a plan.csv."""
-    header = columns_named(path)
-    if header and "line" not in header:
-        raise BadInput(f"{path}: has neither a column run (as a force.csv) nor a column line (as a plan.csv); give one of both")
-    vectors = (*POINT, *NORMAL, *FEED)
-    table = read_csv_table(path, NEEDED, ALONG, gaps=(*vectors, *ALONG))
-    contact, line = table.numbers["contact"], table.numbers["line"]
-    table.column("contact", 1.0, lambda v: ~np.isin(v, (0.0, 1.0)), "1 in contact or 0 between passes")
-    rows = np.flatnonzero(contact == 1.0)
-    for column in vectors:
-        empty = ~np.isfinite(table.numbers[column][rows])
-        if empty.any():
-            at = table.line[rows[int(np.argmax(empty))]]
-            raise BadInput(f"{path}, line {at}, column {column}: the cell is empty in a row in contact; fill it in")
-    change = (np.diff(contact) != 0) | (np.diff(line) != 0)  # a new passage begins there
-    _, first, run = np.unique(np.append(0, np.cumsum(change))[rows], return_index=True, return_inverse=True)
-    clock = table.numbers["time_s"][rows]
-    back = np.flatnonzero(np.diff(clock) < 0)
-    if len(back):
-        raise table.refuse(int(rows[back[0] + 1]), "time_s", f"comes after {clock[back[0]]:g}; a plan's rows are in time order")
-    there = table.take(rows)
-    known = {name: values for name, values in there.numbers.items() if np.isfinite(values).all()}  # s and feed may have gaps
-    known |= {
-        "time_s": clock - clock[first][run],
-        "clock_s": clock - clock.min(initial=0.0),
-        "ground_before": _ground(run, line[rows]),
-    }
-    return log_of_table(replace(there, numbers=known, words={"run": [f"{k + 1}" for k in run]}), sealed=True)
-
-
-def _ground(run: Index, line: Array) -> Array:
-    """How often (n,) each row's line was ground in the recordings before."""
-    out = np.zeros(len(run))
-    for k in np.unique(line):
-        out[line == k] = np.unique(run[line == k], return_inverse=True)[1]
-    return out
