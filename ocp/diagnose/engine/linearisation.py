@@ -296,9 +296,13 @@ class Linearisation:
             share = np.exp(log - np.logaddexp.reduce(log) + weighed.log - best.log)
             whole += float(share.sum())
             for v in np.flatnonzero(share > rules.LISTED):
-                found = self.values(replace(weighed, members=(*others, m._replace(variant=int(v)))), name)
-                (other,) = (a for a in found if a.key == one.key)
-                likely.append((float(share[v]), replace(other, a=one.a) if weighed is best and v == m.variant else other))
+                beside = replace(weighed, members=(*others, m._replace(variant=int(v))))
+                found = self.values(beside, name if share[v] > rules.FOLLOWED else None)
+                other = next(a for a in found if a.key == one.key)
+                if weighed is best and v == m.variant:  # as it was fitted, and what more is open
+                    more = other.covariance - next(a for a in self.values(beside) if a.key == one.key).covariance
+                    other = replace(one, covariance=one.covariance + more)
+                likely.append((float(share[v]), other))
         return deviations_among(one, [(share / whole, other) for share, other in likely])
 
     def taken(self, weighed: Weighed) -> Given:
