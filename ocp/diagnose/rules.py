@@ -244,9 +244,10 @@ TOLD_APART_MORE = 1.3
 IMITATED = 0.5
 """[-] Of the signature that an imitator takes at least. Reason: what is hardly there is imitated by anything."""
 
-MOVED = 1e-4
-"""[-] Of half of what is scanned of a number, by which it is moved for a slope in it. Guards: deviations of what hangs on such a
-number, which is no better known than the readings tell it. Reason: small beside what a rate is told by, large beside rounding."""
+MOVED = 1e-6
+"""[-] Of half the distance between scanned values of a number, by which it is moved for a slope in it. Guards: deviations of what
+hangs on such a number, which is no better known than the readings tell it. Reason: a rate moved so far turns a wave of an hour by
+less than a hundredth; large beside rounding."""
 
 # ---------- alternatives and shrinkage
 FOLLOWED = 0.03

@@ -19,7 +19,7 @@ from ocp.effects.effect import Active, Effect, Scanned, deviations_among, scan_k
 from robots.gauss_newton import linear_step
 from robots.pose import Array
 
-FIXED = ("order", "source_joint", "clocked")  # whole numbers that are scanned
+FIXED = ("order", "source_joint", "clocked", "unit")  # scanned: whole numbers, and a scale
 Ripples = tuple[Array, Array]
 """Sizes (s,) rad of a gear's ripple, and posterior (6, s) of that of each joint from what the other joints show."""
 
@@ -169,6 +169,12 @@ def movable(f: Family) -> tuple[str, ...]:
     return tuple(k for k in f.effect.symbolic if k not in FIXED and all(isinstance(s.get(k), float) for s in f.scans))
 
 
+def spacing(values: Sequence[float]) -> float:
+    """Half the median distance of the values scanned."""
+    distinct = np.unique(np.asarray(values, float))
+    return 0.5 * float(np.median(np.diff(distinct))) if len(distinct) > 1 else 0.0
+
+
 def has_twin(effect: Effect, joint: int, scans: Sequence[Scanned], among: int = 0) -> bool:
     """Whether every machine has a little of it: ripples of many orders."""
     return max(len(scans), among) > 1 and joint > 0 and "amplitude_rad" in {p.key for p in effect.parameters}
@@ -271,8 +277,9 @@ class Linearisation:
         return tuple(sorted(found, key=lambda one: one.key))
 
     def moving(self, f: Family, variant: int, a: Array) -> Array:
-        """Projected columns (N, k) of an effect, coefficients a (m,), for its `movable` numbers, per half of what is scanned."""
-        at, half = f.scans[variant], {key: 0.5 * float(np.ptp([s[key] for s in f.scans])) for key in movable(f)}
+        """Projected columns (N, k) of an effect, coefficients a (m,), for its `movable` numbers, per half of their distance where
+        they are scanned: farther off another variant stands for them."""
+        at, half = f.scans[variant], {key: spacing([s[key] for s in f.scans]) for key in movable(f)}
         ends = [{**at, key: at[key] + side * half[key]} for key in half for side in (rules.MOVED, -rules.MOVED)]
         columns, seen = stacked_columns(self.channels, f.effect, f.name.joint, ends) if f.effect and ends else (None, ())
         if columns is None or not seen:

@@ -30,7 +30,7 @@ from ocp.diagnose.engine.beam import NOTHING, Key, Search, Weighed, weigh
 from ocp.diagnose.engine.channel_system import Channel, WeighedReadings, is_outlier
 from ocp.diagnose.engine.evidence import log_evidence
 from ocp.diagnose.engine.findings import Name, Options
-from ocp.diagnose.engine.linearisation import Linearisation, linearised, movable, stacked_columns
+from ocp.diagnose.engine.linearisation import Linearisation, linearised, movable, spacing, stacked_columns
 from ocp.diagnose.engine.pool import Given, Member, given, squares
 from ocp.diagnose.engine.selection import misses_far_more_than_noise
 from ocp.effects.effect import Active, Effect, Scanned, effects_key
@@ -281,7 +281,7 @@ def _sharper(problem: Linearisation, weighed: Weighed, one: Active) -> Active:
         return one
     others = given(problem.pool, [Member(m.family, m.variant, 1.0) for m in weighed.members if m.family != family])
     scans = problem.pool.families[family].scans
-    steps = {k: _spacing([s[k] for s in scans if k in s]) for k in keys}
+    steps = {k: spacing([s[k] for s in scans]) for k in keys}
     # Physics has no place below: a curvature or a time of nothing divides by zero.
     unsigned = [p for p in one.effect.parameters if not p.signed and p.low > 0]
     low = {p.key: min([p.low, *(s[p.key] for s in scans if p.key in s)]) for p in unsigned}
@@ -299,12 +299,6 @@ def _sharper(problem: Linearisation, weighed: Weighed, one: Active) -> Active:
         else:
             steps = {key: 0.5 * step for key, step in steps.items()}
     return here
-
-
-def _spacing(values: Sequence[float]) -> float:
-    """Half the median distance of the values scanned."""
-    distinct = np.unique(np.asarray(values, float))
-    return 0.5 * float(np.median(np.diff(distinct))) if len(distinct) > 1 else 0.0
 
 
 def _evidence(problem: Linearisation, others: Given, effect: Effect, joint: int, scans: Sequence[Scanned]) -> tuple[Array, Array]:

@@ -163,8 +163,8 @@ def predict_sealed_force(before: Fitted, after: Fitted, asked: Asked, known: Seq
         again = replace(again, at=replace(again.at, x=x, active=active))
         return again, covariance, predict_forces(there, x, predictable(active, asked.says).known)
 
-    if asked.kept.get("of") is not before[0]:
-        asked.kept.update(of=before[0], told=told(*before, ()))
+    if not all(one is another for one, another in zip(asked.kept.get("of", (None, None)), before, strict=True)):
+        asked.kept.update(of=before, told=told(*before, ()))
     bare = asked.kept["told"]
     fit, covariance, corrected = bare if after[1] is before[1] else told(*after, known)
     parted = predictable(fit.active, asked.says)
