@@ -45,6 +45,13 @@ def test_every_passage_of_a_plan_is_a_recording(tmp_path):
     assert list(log.row[:2]) == [17, 18]
 
 
+def test_lines_without_a_move_between_are_two_recordings(tmp_path):
+    rows = [row for row in plan_rows() if row["contact"]][:30]
+    log = read_planned_log(write(tmp_path / "plan.csv", rows))
+    assert len(log.runs) == 2 and [float(np.unique(log.line[log.run == k])[0]) for k in range(2)] == [4.0, 7.0]
+    assert log.time.max() == pytest.approx(0.02 * 14)
+
+
 def test_a_log_without_readings_is_a_plan(tmp_path):
     rows = [row | {"run": row["line"]} for row in plan_rows() if row["contact"]]
     header = ["run", *(k for k in PLAN if k not in ("fn_N", "contact"))]
