@@ -263,7 +263,8 @@ class Linearisation:
 
     def values(self, weighed: Weighed, free: Name | None = None) -> tuple[Active, ...]:
         """Effects of a set with their values and covariance, everything in the set fitted together, priors at the upper ends;
-        in the order of their names. free: whose scanned numbers are not known better than the readings tell them."""
+        in the order of their names. free: the one whose scanned numbers are unknowns too (variable projection's covariance, Golub
+        and Pereyra 1973): its values are as unsure as these leave them."""
         if not weighed.members:
             return ()
         families = [self.pool.families[m.family] for m in weighed.members]
@@ -281,10 +282,10 @@ class Linearisation:
         they are scanned: farther off another variant stands for them."""
         at, half = f.scans[variant], {key: spacing([s[key] for s in f.scans]) for key in movable(f)}
         ends = [{**at, key: at[key] + side * half[key]} for key in half for side in (rules.MOVED, -rules.MOVED)]
-        columns, seen = stacked_columns(self.channels, f.effect, f.name.joint, ends) if f.effect and ends else (None, ())
-        if columns is None or not seen:
-            return np.zeros((len(self.pool.y), len(ends) // 2))
-        changes = self.stack.apply(columns @ a)
+        if f.effect is None or not ends:
+            return np.zeros((len(self.pool.y), 0))
+        columns, seen = stacked_columns(self.channels, f.effect, f.name.joint, ends)
+        changes = self.stack.apply(columns @ a) if seen else np.zeros((len(self.pool.y), len(ends)))
         return np.asarray((changes[:, ::2] - changes[:, 1::2]) / (2.0 * rules.MOVED))
 
     def variants(self, weighed: Weighed, name: Name) -> tuple[Member, tuple[Member, ...], Array]:
@@ -295,7 +296,8 @@ class Linearisation:
 
     def deviations(self, sets: Mapping[Key, Weighed], one: Active) -> dict[str, object]:
         """Standard deviations of an effect's values by key, over all that the readings hardly tell apart: its variants, as a wave
-        fits nearly as well with the next order, at another phase, and what else these sets hold beside it."""
+        fits nearly as well with the next order, at another phase; numbers between those scanned, as a balancer's levers; and what
+        else these sets hold beside it."""
         name, likely, whole = Name(*one.key), list[tuple[float, Active]](), 0.0
         best = self.best_with(sets, name)
         for weighed in (s for k, s in sets.items() if self.index[name] in k and s.log > best.log + np.log(rules.FOLLOWED)):

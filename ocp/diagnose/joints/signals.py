@@ -313,7 +313,7 @@ def _likeliest(left: Array, pieces: list[Index], time: Array, longest: bool = Fa
 
 def unlikely(logs: Array, parts: Sequence[tuple[Array, Array]]) -> tuple[float, Array]:
     """Minus the log likelihood, but for a constant, of residuals (m,) rad with their lags (m, m) s, part by part, and its slope
-    (3,) in `logs`, the logarithms of white rad, wander rad and memory s."""
+    (3,) in `logs`, the logarithms of white rad, wander rad and memory s (Rasmussen and Williams 2006, eq. 5.8 and 5.9)."""
     white, wander, memory = np.exp(logs)
     total, slope = 0.0, np.zeros(3)
     for left, lags in parts:
