@@ -22,6 +22,7 @@ from ocp.diagnose.engine.kernels import kernels
 from ocp.diagnose.force import prediction
 from ocp.diagnose.force.channel import ForceChannel, force_channel, problem_of
 from ocp.diagnose.force.fit import ForceProblem, fit_effects
+from ocp.diagnose.force.held_out import predict_sealed_force
 from ocp.diagnose.force.logged_contact import PLACE, hook_columns
 from ocp.diagnose.force.prediction import acts_by_force, effect_derivatives, nuisance_derivatives, predict_forces
 from ocp.diagnose.force.prior import contact_prior, with_setpoints_read_off
@@ -319,6 +320,13 @@ def test_what_was_fitted_is_predicted_though_no_fit_on_both_laws_rests(made, mon
     again = made.channel.predict(sealed, one)
     assert fitted.fit.active is not None and len(asked) == (1 if name is None else 2)
     assert np.allclose(again.corrected, told.corrected, atol=0.02) and np.allclose(again.sigma, told.sigma, rtol=0.1)
+    own, law = made.channel.problem.scene, made.channel.made["asked"]
+    moved = replace(law.measured, q=law.measured.q + 1e-4)  # as if the law that both share differed as much
+    off = replace(law, measured=moved, kept={})
+    wider = predict_sealed_force(*((c.problem, c.fit) for c in (made.channel, fitted)), off).sigma
+    at = fitted.fit.at
+    rms = np.sqrt(np.mean((predict_forces(replace(own, rows=off.measured), at.x, at.active).fn - at.fn)[own.rows.contact] ** 2))
+    assert rms > 0.2 and np.allclose(np.hypot(again.sigma, rms)[own.rows.contact], wider[own.rows.contact], rtol=0.05)
     made.channel.made.clear()  # what others ask for is fitted
 
 

@@ -7,7 +7,6 @@ effects, with one sigma.
 """
 
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -155,21 +154,24 @@ def predict_sealed_force(before: Fitted, after: Fitted, asked: Asked, known: Seq
     """
     problem, scene, there = after[0], after[0].scene, asked.there
 
-    def told(own: ForceProblem, fit: EffectFit, known: Sequence[Active]) -> tuple[EffectFit, Array, Predicted]:
-        measured, again = replace(own, scene=replace(own.scene, model=there.model, rows=asked.measured)), fit
-        with suppress(Infeasible):  # the two laws differ so little that the fit as it was is near enough
-            again = fit_effects(measured, fit.active, fit)
+    def told(own: ForceProblem, fit: EffectFit, known: Sequence[Active]) -> tuple[EffectFit, Array, Predicted, float]:
+        measured = replace(own, scene=replace(own.scene, model=there.model, rows=asked.measured))
+        try:
+            again, apart = fit_effects(measured, fit.active, fit), 0.0
+        except Infeasible:  # the fit as it was stands, as unsure as the two laws differ there
+            again, other = fit, predict_forces(measured.scene, fit.at.x, fit.active)
+            apart = float(np.mean((other.fn - fit.at.fn)[own.scene.rows.contact] ** 2))
         x, active, covariance = at_known_sizes(own, again, known)
         again = replace(again, at=replace(again.at, x=x, active=active))
-        return again, covariance, predict_forces(there, x, predictable(active, asked.says).known)
+        return again, covariance, predict_forces(there, x, predictable(active, asked.says).known), apart
 
     if not all(one is another for one, another in zip(asked.kept.get("of", (None, None)), before, strict=True)):
         asked.kept.update(of=before, told=told(*before, ()))
     bare = asked.kept["told"]
-    fit, covariance, corrected = bare if after[1] is before[1] else told(*after, known)
+    fit, covariance, corrected, apart = bare if after[1] is before[1] else told(*after, known)
     parted = predictable(fit.active, asked.says)
     setpoint = scene.cell.flange.setpoint if scene.cell.flange is not None else 0.0
-    more = _changed(problem.log, asked.sealed, setpoint) + _unshown(scene, fit, parted)
+    more = _changed(problem.log, asked.sealed, setpoint) + _unshown(scene, fit, parted) + apart
     sigma = _sigma(problem, there, covariance, corrected, parted.kept, more)
     return Sealed(bare[2].fn[:, None], corrected.fn[:, None], sigma[:, None], parted.lacking)
 
