@@ -13,7 +13,7 @@ from ocp.diagnose.dataset import beyond_log, beyond_measured
 from ocp.diagnose.engine.channel_system import Sealed
 from ocp.diagnose.engine.findings import Location, Name
 from ocp.diagnose.report import verdict_sentence
-from ocp.diagnose.verdict.shrinkage import ANOTHER_DAY, Shrinkage
+from ocp.diagnose.verdict.shrinkage import ANOTHER_DAY, NONE, Shrinkage
 from ocp.shell.progress import Phases
 from tests.support.diagnosis_folder import write_tracker_folder
 from tests.support.simulated_campaign import campaign_readings
@@ -146,10 +146,12 @@ def test_what_is_named_and_not_corrected_is_told_with_its_reason():
     def active(name, joint):
         return SimpleNamespace(key=(name, joint))
 
-    def told(written, high):
-        gap = SimpleNamespace(harmed=("another setpoint",) if high < 0 else ())
-        found = SimpleNamespace(active=(active("backlash", 3), active("wheel_wear", 0)))
-        return verdict_sentence.not_written(SimpleNamespace(diagnosis=found, written=written, gaps=(gap,)))
+    def told(written, high, shrinkage=NONE):
+        shown = (("backlash", 3), ("wheel_wear", 0))
+        gap = SimpleNamespace(harmed=("another setpoint",) if high < 0 else (), shown=shown, shrinkage=shrinkage)
+        other = SimpleNamespace(harmed=(), shown=(), shrinkage=NONE)  # a signal that shows none of them says nothing of them
+        found = SimpleNamespace(active=both)
+        return verdict_sentence.not_written(SimpleNamespace(diagnosis=found, written=written, gaps=(gap, other)))
 
     both = (active("backlash", 3), active("wheel_wear", 0))
     assert told(both, -1.0) == ""
@@ -157,6 +159,8 @@ def test_what_is_named_and_not_corrected_is_told_with_its_reason():
         told((), -1.0) == "The named effects are not in the corrected cell: another setpoint, when left out, said that they harm."
     )
     assert told((), 0.5) == "The named effects are not in the corrected cell: what they promise may be nothing, or harm."
+    assert told((), 0.5, None).endswith("fitted without them, the cell's own parameters follow the readings as well.")
+    assert told(both[1:], 0.5, None).endswith("fitted without it, the cell's own parameters follow the readings as well.")
     assert told(both[1:], -1.0).startswith(
         "Backlash of joint 3 is not in the corrected cell: another setpoint, when left out, said"
     )

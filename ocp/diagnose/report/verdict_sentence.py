@@ -138,8 +138,11 @@ def not_written(answer: Answer) -> str:
     harmed = dict.fromkeys(kind for g in answer.gaps for kind in g.harmed)
     one = bool(held) and len(kept) == 1
     which = f"{_capital(effects_words(kept))} {'is' if one else 'are'}" if held else "The named effects are"
-    doubt = "what it promises may be nothing" if one else "what they promise may be nothing"
-    why = f"{', '.join(harmed)}, when left out, said that {'it harms' if one else 'they harm'}" if harmed else f"{doubt}, or harm"
+    why = f"what {'it promises' if one else 'they promise'} may be nothing, or harm"
+    if harmed:
+        why = f"{', '.join(harmed)}, when left out, said that {'it harms' if one else 'they harm'}"
+    elif all(g.shrinkage is None for g in answer.gaps if {*kept} & {Name(*key) for key in g.shown}):
+        why = f"fitted without {'it' if one else 'them'}, the cell's own parameters follow the readings as well"
     return f"{which} not in the corrected cell: {why}."
 
 
