@@ -185,18 +185,14 @@ def design_table(known: Sequence[Effect], columns: Sequence[Column], notes: Sequ
         if c.what and hidden:
             out.append(f"With {c.what} {', '.join(hidden)} cannot be seen.")
     reasons = dict.fromkeys(line.blind.split(":")[0] for c in columns for line in c.lines if line.blind)
-    told = [reason for reason in reasons if not needs_motion(reason)]
-    return "\n".join([*out, *(f"note: {_of_plan(reason)}" for reason in told), *notes])
+    told = "\n".join(f"note: {reason}" for reason in reasons if not needs_motion(reason))
+    told = told.replace("tracker.csv", "the plan of readings").replace("force.csv", "the planned log")
+    return "\n".join([*out, *told.splitlines(), *notes])
 
 
 def size_parameter(effect: Effect) -> Parameter:
     """The key that says how large an effect is."""
     return next(p for p in effect.parameters if p.unit != "name" and p.high > 0 and p.key not in ("order", "phase_rad"))
-
-
-def _of_plan(reason: str) -> str:
-    """A channel's reason, of files that are not measured yet."""
-    return reason.replace("tracker.csv", "the plan of readings").replace("force.csv", "the planned log")
 
 
 def _seen(lines: Sequence[DesignLine], high: float) -> str:

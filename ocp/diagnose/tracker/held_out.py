@@ -37,7 +37,8 @@ def tracker_folds(readings: Readings) -> list[Fold]:
     found = [Fold(f"random={k + 1}", "random", part == k) for k in range(PARTS)]
     _, label = kmeans2(r.q[:, :3], PARTS, seed=0, minit="++")
     found += [Fold(f"block={k + 1}", "block", label == k) for k in np.unique(label)]
-    for kind, index, names in (("payload", r.payload, r.payloads), _sessions(r)):
+    stands = ("session", r.session, r.sessions) if len(np.unique(r.session)) > 1 else ("station", r.station, r.stations)
+    for kind, index, names in (("payload", r.payload, r.payloads), stands):
         if len(np.unique(index)) > 1:
             found += [Fold(f"{kind}={names[k]}", kind, index == k) for k in np.unique(index)]
     # What a few readings of one session say of a thousand of another is no test of names.
@@ -52,11 +53,6 @@ def tracker_folds(readings: Readings) -> list[Fold]:
             for side, held in (("above", r.q[:, j] > middle), ("below", r.q[:, j] <= middle)):
                 found.append(Fold(f"joint {j + 1} {side} {np.degrees(middle):.0f} deg", "joint range", held))
     return [f for f in found if f.held.sum() >= LEAST and (~f.held).sum() >= LEAST]
-
-
-def _sessions(r: Readings) -> tuple[str, Index, tuple[str, ...]]:
-    """Sessions by their kind, index (n,) and names; stands of the tracker where no sessions are told."""
-    return ("session", r.session, r.sessions) if len(np.unique(r.session)) > 1 else ("station", r.station, r.stations)
 
 
 def held_out_readings(
