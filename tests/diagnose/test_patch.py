@@ -116,7 +116,7 @@ def test_beyond_what_was_measured_a_patch_is_written_where_left_out_readings_say
         monkeypatch.setattr(f"ocp.diagnose.foresee.patched.{name}", fake)
     found = SimpleNamespace(after=SimpleNamespace(name="tracker", active=()), others=((), ()))
     for asked in (True, False):
-        monkeypatch.setattr("ocp.diagnose.foresee.patched.modelled", lambda *_, asked=asked: (good, asked))
+        monkeypatch.setattr("ocp.diagnose.foresee.patched.anticipated_shrinkage", lambda *_, asked=asked: (good, asked))
         assert (patched(found, None, object()) is not None) == (written or not asked)
 
 

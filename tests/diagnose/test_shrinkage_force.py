@@ -18,7 +18,7 @@ from ocp.diagnose.force.held_out import Asked
 from ocp.diagnose.force.logged_contact import logged_arm
 from ocp.diagnose.force.prediction import LogScene, predict_forces
 from ocp.diagnose.force.shrinkage import LaterGrinding, after_log, anticipated_grinding, from_grinding
-from ocp.diagnose.foresee.anticipated import modelled
+from ocp.diagnose.foresee.anticipated import anticipated_shrinkage
 from ocp.diagnose.rules import RUN_SD
 from ocp.diagnose.verdict.answer import Followed
 from ocp.diagnose.verdict.shrinkage import Shrinkage
@@ -249,7 +249,7 @@ def test_conditions_wholly_in_the_air_are_predicted_and_promise_as_new_data_do(w
     asked = Asked(worn.channel.log, worn.channel.problem.scene.rows, there)
     after.made["asked"] = asked
     followed = Followed(worn.channel, after, (Alternative(1.0, after.active),))
-    told = [modelled(followed, (), 0.0, None, one) for one in (asked.sealed, None)]
+    told = [anticipated_shrinkage(followed, (), 0.0, None, one) for one in (asked.sealed, None)]
     assert not told[0][1] and told[0][0] == told[1][0]
     found = predict_forces(there, after.fit.at.x, after.active)
     assert not found.F.any() and linear_normal(after.problem, there, found).shape[0] == len(air)

@@ -64,7 +64,7 @@ def signal_gap(diagnosis: Diagnosis, before: Channel, after: Channel, sealed: An
     told = tuple((h.fold.name, realised(*h.means) if diagnosis.active else None) for h in held if h.fold.extrapolates)
     shown = tuple(a.key for a in diagnosis.active if shows(after, a))
     shrinkage, asked = _shrinkage(diagnosis, before, after, held, float(np.mean(sizes[0] ** 2)), sealed, bool(shown))
-    promise = {} if shrinkage in (None, NONE) else _by_kind(after, held, shrinkage)
+    promise = {} if shrinkage in (None, NONE) else promise_by_kind(after, held, shrinkage)
     left = remaining(after, diagnosis.left_over)
     left = Remaining(scale * left.above_noise, left.p_value)
     figures = before.name, before.unit, after.noise_floor, sizes[0], sizes[1]
@@ -144,21 +144,24 @@ def _shrinkage(
     shown: whether anything is named that this signal shows, else nothing changes."""
     if not shown:
         return (NONE if realised(square, 0.0, after.noise_floor**2) is not None else None), False
-    of_arm = isinstance(after, TrackerChannel)
-    if before.name == "force" or (isinstance(after, TrackerChannel) and not after.restless(1.0)):
-        others = seen_by(after.name, _what_may_be(diagnosis) if of_arm else diagnosis.alternatives)
-        return modelled(Followed(before, after, others), held, diagnosis.p_beside, None, sealed)
-    # Where noise is far above what is usual no model says what lasts of it: left-out readings do.
-    return from_folds(held, estimation_variance(after)), False
+    others = seen_by(after.name, _what_may_be(diagnosis) if isinstance(after, TrackerChannel) else diagnosis.alternatives)
+    return anticipated_shrinkage(Followed(before, after, others), held, diagnosis.p_beside, None, sealed)
 
 
-def modelled(
+def told_by_readings(channel: Channel) -> bool:
+    """Whether left-out readings promise: no model says what lasts of an arm's noise far above what is usual, or of encoders'."""
+    return channel.name != "force" and (not isinstance(channel, TrackerChannel) or channel.restless(1.0))
+
+
+def anticipated_shrinkage(
     found: Followed, held: Sequence[HeldOut], unknown: float, carried: tuple[float, float] | None, sealed: Any
 ) -> tuple[Shrinkage | None, bool]:
-    """What the models promise of tracker readings or forces, and whether under the conditions `sealed`: where these say all that
-    the alternatives depend on, and hold a gap to speak of. held: folds, that say how much is there under no name where, with
-    probability `unknown`, something is; carried: as `from_model` has it. None: no gap to speak of."""
+    """What is promised, and whether under the conditions `sealed`: where these say all that the alternatives depend on, and hold
+    a gap to speak of. held: folds, that say how much is there under no name where, with probability `unknown`, something is;
+    carried: as `from_model` has it. None: no gap to speak of."""
     before, after, others = found.before, found.after, found.others
+    if told_by_readings(after):
+        return from_folds(held, estimation_variance(after)), False
     asked = _asked_of(after, others, sealed)
     for conditions in [None] if asked is None else [asked, None]:
         if isinstance(before, TrackerChannel) and isinstance(after, TrackerChannel):
@@ -201,11 +204,11 @@ def _what_may_be(diagnosis: Diagnosis) -> tuple[Alternative, ...]:
     return (Alternative(first.probability * (1.0 - diagnosis.p_beside), first.active), *beside, *others)
 
 
-def _by_kind(after: Channel, held: Sequence[HeldOut], told: Shrinkage) -> dict[str, Shrinkage]:
+def promise_by_kind(after: Channel, held: Sequence[HeldOut], told: Shrinkage) -> dict[str, Shrinkage]:
     """The promise by kind of new data, that for another day first. Names chosen on held-out errors are held to other sessions
     where there are some: no model says what of such an arm's noise lasts."""
     kinds = promised_by_kind(held)
-    chosen = isinstance(after, TrackerChannel) and after.restless(1.0)
+    chosen = isinstance(after, TrackerChannel) and told_by_readings(after)
     other = kinds.get("another session") if chosen else None
     return {ANOTHER_DAY: promised_later(told, chosen) if other is None else other} | kinds
 
