@@ -21,7 +21,7 @@ from ocp.report.section import Section
 from ocp.shell.cache import sha256
 from ocp.shell.output import Output, reserved
 from ocp.shell.progress import Phases, Progress
-from robots.calibration.carried import FORCE, carried_over
+from robots.calibration.carried import CHANGED, FORCE, carried_over, chance_of_one_arm
 from robots.calibration.parameters import SYMBOLS
 from robots.calibration.store import BENDING, Calibration, write_calibration
 from robots.calibration.student_t import GROSS
@@ -109,8 +109,14 @@ def _calibrated(
     calibration, extra = tracker_calibration(made, inputs), list[Section]()
     if ground is None and (kept := carried_over(calibration, made.setup.calibration)) is not calibration:
         besides = ", ".join(name for name in kept.names if name not in calibration.names)
-        earlier = f"no force log was given, so these stay as the cell's earlier calibration has them: {besides}"
-        calibration, made = kept, replace(made, notices=(*made.notices, earlier))
+        assert made.setup.calibration is not None
+        told = (
+            f"the arm is not the one that these were registered with (chance below {CHANGED:g}), so they stay where they were, "
+            "less sure; log a force ladder (--force)"
+            if chance_of_one_arm(calibration, made.setup.calibration) < CHANGED
+            else "these are the earlier calibration's, and moved with the arm by what it was found otherwise"
+        )
+        calibration, made = kept, replace(made, notices=(*made.notices, f"no force log was given: {told}: {besides}"))
     if ground is not None:
         with phases.phase("contact"):
             # Registered by the arm as it will be planned with, which bends where the readings say.

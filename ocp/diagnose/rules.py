@@ -262,8 +262,16 @@ ONE_COURSE = 0.95
 the two it was. Reason: of a warm-up the logarithm of time and the temperature are told apart by their curvature alone, which no
 kernel knows (creep_under_load of worlds by other hands, patched over temperature: 60 % promised, -3 and 15 % came)."""
 
-MOST_PATCHES = 3
-"""[patches] For one gap. Reason: time; what a third does not hold is no plain function of one or two conditions."""
+MOST_PATCHES = 6
+"""[patches] For one gap. Reason: a patch a joint; six take a UR5's readings that were left out to 0.063 mm, three to 0.066."""
+
+NEAR = 0.05
+"""[-] Of a condition's whole range. Guards: where a patch ends. Reason: less than any smooth feature's length."""
+
+NEAR_SHARE = 0.01
+"""[-] Of all readings: with fewer near an end of a range nothing was measured there. Guards: as NEAR. Reason: even campaigns
+have five times as many near their ends; one reading of a hundred, elsewhere in a joint's range, stretched a patch of a UR10 over
+what nobody had measured, and a gap of 0.43 mm came out at 0.52 (ur10_two_series)."""
 
 INTERVAL = 0.9
 """[-] Of the shrinkage's interval. Reason: FORMATS.md."""

@@ -24,6 +24,7 @@ the pass, travel +-1, feed m/s, belt m/s, setpoint N, warm, wheel K above the re
 """
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 
@@ -266,6 +267,12 @@ def make_patch(
     needs = ",".join(columns_of(features))
     effect = patch_effect(f"{PATCH}{source}|{where}|{count}|{size:.3g}" + (f"|{needs}" if needs else ""))
     return Active(effect, joint, np.zeros(count), scanned, np.eye(count) * size**2)
+
+
+def within(patch: Active, measured: Mapping[str, tuple[float, float]]) -> Active:
+    """The patch as if no more than these ranges of its conditions had been measured."""
+    limits = tuple((name, *measured[name]) for name, _, _ in patch.scanned["range"])
+    return replace(patch, scanned={**patch.scanned, "range": limits})
 
 
 def patch_table(patch: Active, promise: str) -> dict[str, Any]:

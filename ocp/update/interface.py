@@ -240,9 +240,10 @@ def updated(
     flange = cell.flange is not None
     kept = steady_rows(log, flange)
     still = replace(setup, rows=(setup.rows[0].take(kept),))
-    fit, verdict = _fitted(cell, without_ramps(log, flange), still, expected, (now - clock)[kept])
+    fit, *verdicts = _fitted(cell, without_ramps(log, flange), still, expected, (now - clock)[kept])
+    verdict = verdicts[-1]
     if not verdict.possible:
-        raise Infeasible(_impossible(log, fit, verdict, parts))
+        raise Infeasible(_impossible(log, fit, verdicts, parts))
     refuse_other_force(cell, fit)
     found = fit.calibration(expected)
     preston, told = _known_preston(cell, wheel.contact, "belt" in parts), None
@@ -287,11 +288,14 @@ def _force_figures(calibration: Calibration | None) -> dict[str, float]:
     return {k: float(v) for k, v in _force_told(calibration).items() if is_number(v)}
 
 
-def _fitted(cell: Cell, log: ForceLog, setup: ForceSetup, expected: Calibration, earlier: np.ndarray) -> tuple[ForceFit, Verdict]:
-    """The fit with the wheel worn inside the log by its rate; `earlier` (n,) s: how long before the state's moment a row was."""
+def _fitted(
+    cell: Cell, log: ForceLog, setup: ForceSetup, expected: Calibration, earlier: np.ndarray
+) -> tuple[ForceFit, Verdict, Verdict]:
+    """The fit with the wheel worn inside the log by its rate; what is said of the log by the rate that was forecast, and by the
+    one that it gave. `earlier` (n,) s: how long before the state's moment a row was."""
     noise = believed_theta(replace(cell, calibration=expected)).joint_noise
     before = abs(_force_figures(expected).get("run_offset", 0.0))
-    rate = expected.values[expected.names.index(WEAR)]
+    rate, verdicts = expected.values[expected.names.index(WEAR)], list[Verdict]()
     for _ in range(2):
         rows = setup.rows[0]
         waypoint = rows.waypoint.copy()
@@ -299,17 +303,25 @@ def _fitted(cell: Cell, log: ForceLog, setup: ForceSetup, expected: Calibration,
         worn = replace(setup, rows=(replace(rows, waypoint=waypoint),))
         fit = fit_force(replace(cell, calibration=None), log, expected, worn)
         usual = max(unmodelled_force(setup.model, worn.rows[0], fit.solution, noise), before)
-        verdict = verdict_on(fit.solution, log, usual)
+        verdicts.append(verdict_on(fit.solution, log, usual))
         found = fit.calibration(expected)
         change, rate = found.values[found.names.index(WEAR)] - rate, found.values[found.names.index(WEAR)]
-        if not verdict.possible or abs(change) * np.ptp(earlier) < SAME_WEAR:
+        if not verdicts[-1].possible or abs(change) * np.ptp(earlier) < SAME_WEAR:
             break
-    return fit, verdict
+    return fit, verdicts[0], verdicts[-1]
 
 
-def _impossible(log: ForceLog, fit: ForceFit, verdict: Verdict, parts: tuple[str, ...]) -> str:
-    """Why a log is not of the state that was handed in, and what to do."""
-    f, left = fit.figures, [part for part in PARTS if part not in parts]
+def _impossible(log: ForceLog, fit: ForceFit, verdicts: Sequence[Verdict], parts: tuple[str, ...]) -> str:
+    """Why a log is not of the state that was handed in, and what to do. As wear, it may look possible until that wear is looked
+    for inside the log."""
+    f, left, verdict = fit.figures, [part for part in PARTS if part not in parts], verdicts[-1]
+    if verdicts[0].possible:
+        return (
+            f"{log.path}: cannot have come from the cell as last known: only a wheel that wears far faster than before would read "
+            f"so far off what was forecast, and inside the log there is no such wear (chance {verdict.chance:.1g}); the wheel, the "
+            f"blade or the sensor was moved: say so (--changed, of {', '.join(left) or 'nothing more'}), else calibrate "
+            "anew with a force ladder"
+        )
     return (
         f"{log.path}: cannot have come from the cell as last known: it reads {f.mean_before:+.2f} N ({f.rms_before:.2f} N "
         f"rms) off what was forecast (chance {verdict.chance:.1g}), {verdict.sentence()}; if something was changed say so "

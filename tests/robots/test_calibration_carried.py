@@ -1,8 +1,11 @@
 """What a new calibration takes over from an earlier one, against conditioning of the normal law done otherwise."""
 
-import numpy as np
+from dataclasses import replace
 
-from robots.calibration.carried import carried_over
+import numpy as np
+import pytest
+
+from robots.calibration.carried import carried_over, chance_of_one_arm
 from robots.calibration.store import Calibration
 
 
@@ -23,6 +26,28 @@ def test_what_was_found_by_an_arm_moves_with_it():
     sample = np.column_stack([arm, wheel])
     assert np.allclose(both.values, sample.mean(axis=0), atol=4 * sample.std(axis=0).max() / np.sqrt(len(arm)))
     assert np.allclose(both.covariance, np.cov(sample.T), atol=0.02 * np.abs(both.covariance).max())
+
+
+def test_a_wheel_stays_less_sure_where_the_arm_itself_is_another():
+    """The zero of an axis 0.4 mrad off what it was, known to 0.02 mrad by both: a wheel 1 m away would move by 0.4 mm."""
+    root = np.array([[2e-5, 0.0, 0.0], [0.0, 3e-5, 0.0], [2e-5, 0.0, 1e-5]])  # theta_offset3, d1, wheel_x
+    old = Calibration("r", ("theta_offset3", "d1", "wheel_x"), np.array([1e-3, 0.6, 1.7]), root @ root.T)
+    new = Calibration("r", ("theta_offset3", "d1"), np.array([1.4e-3, 0.6]), root[:2] @ root[:2].T)
+    near = replace(new, values=np.array([1.05e-3, 0.6]))
+    assert chance_of_one_arm(new, old) < 1e-30 and 0.05 < chance_of_one_arm(near, old) < 0.5
+    both, moved = carried_over(new, old), carried_over(near, old)
+    assert both.values[2] == old.values[2] and both.standard_deviation[2] == pytest.approx(
+        np.hypot(old.standard_deviation[2], 4e-4)
+    )
+    assert not both.covariance[2, :2].any() and moved.values[2] - old.values[2] == pytest.approx(5e-5)
+    rng, count = np.random.default_rng(1), 4000  # of one arm every chance is as likely
+    chances = np.array([chance_of_one_arm(replace(new, values=d), old) for d in _drawn(rng, old, new, count)])
+    assert np.mean(chances < 0.1) == pytest.approx(0.1, abs=0.02)
+
+
+def _drawn(rng, old, new, count):
+    spread = np.linalg.cholesky(old.covariance[:2, :2] + new.covariance)
+    return old.values[:2] + rng.normal(size=(count, 2)) @ spread.T
 
 
 def test_the_logs_that_the_rest_was_found_by_go_with_it():

@@ -1,15 +1,16 @@
 """The filter from blade to blade on logs that the model itself makes: wear is followed and forecast, a jump is said."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from ocp.calibrate.force.fit import BIAS, FIT_NAMES, force_prior
 from ocp.model.theta import registered
-from ocp.update.drift import SURPRISE, carried_on, changed_state, last_state
+from ocp.update.drift import SURPRISE, Verdict, carried_on, changed_state, last_state
 from ocp.update.history import History, history_of
-from ocp.update.interface import Updated, grown, updated
+from ocp.update.interface import Updated, _impossible, grown, updated
 from robots.errors import BadInput, Infeasible
 from tests.support.wearing_cell import NOISE, WearingCell, posterior, wearing_cell
 
@@ -104,6 +105,16 @@ def test_a_small_jump_that_is_taken_for_wear_is_told(world, worn):
     (told,) = found[1.1e-4].notices
     assert SURPRISE < found[1.1e-4].verdict.chance < 0.02
     assert "is unlike what was forecast" in told and "--changed, of wheel, blade, flange, belt, sensor" in told
+
+
+def test_wear_of_which_the_log_itself_shows_nothing_is_no_wear():
+    log, fit = SimpleNamespace(path="force.csv"), SimpleNamespace(figures=SimpleNamespace(mean_before=-1.0, rms_before=1.1))
+    before, inside = Verdict(3.0, 1, 0.03, (("wheel_radius", 2.0),)), Verdict(300.0, 1, 1e-40, (("flange_stiffness", 16.0),))
+    told = _impossible(log, fit, (before, inside), ("belt",))
+    assert (
+        "inside the log there is no such wear (chance 1e-40)" in told and "(--changed, of wheel, blade, flange, sensor)" in told
+    )
+    assert "flange_stiffness would have moved by 16.0" in _impossible(log, fit, (inside, inside), ())
 
 
 def test_chances_of_logs_of_the_cell_itself_are_spread_evenly(world):

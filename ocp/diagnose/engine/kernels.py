@@ -19,11 +19,12 @@ from functools import reduce
 
 import numpy as np
 
+from ocp.diagnose import rules
 from ocp.diagnose.engine.channel_system import ReadingConditions
 from ocp.diagnose.rules import FORCE_KERNEL, FRAME_KERNEL, JOINT_KERNEL, LEAST_TORQUE, LEAST_TURN, ORDERS_APART, TILT_KERNEL
 from ocp.effects.context import SETTLING
 from ocp.effects.engine.evaluate import left_of_motion
-from robots.pose import Array, Index
+from robots.pose import Array, Index, Mask
 
 TILTED = 5  # cosines for each direction of a tilting axis
 ORDERS_OF_TWO = ((1, 1), (1, 2), (2, 1), (2, 2), (1, 3), (2, 3))  # waves per turn of a joint and of another one
@@ -336,6 +337,21 @@ def conditions_by_name(c: ReadingConditions, reference: float = 0.0, middle: flo
         found |= {"range": np.linalg.norm(c.point, axis=1), "azimuth": np.arctan2(np.sin(turned), np.cos(turned))}
         found |= {"elevation": np.arctan2(c.point[:, 2], np.linalg.norm(c.point[:, :2], axis=1))}
     return found
+
+
+def measured_ranges(c: ReadingConditions, middle: float, rows: Mask | slice = slice(None)) -> dict[str, tuple[float, float]]:
+    """Ranges of conditions in some rows of readings, as patches call them, ends that few readings lie near left out; middle
+    azimuth rad. What settles is gone after a wait longer than any that was measured."""
+    found = {n: _dense(np.sort(v[rows])) for n, v in conditions_by_name(c, c.reference or 0.0, middle).items()}
+    return {n: (0.0 if n.startswith("settling") else low, high) for n, (low, high) in found.items()}
+
+
+def _dense(values: Array) -> tuple[float, float]:
+    """The least and the most of values (n,) in order that a share `rules.NEAR_SHARE` of all lies near."""
+    near = rules.NEAR * (values[-1] - values[0])
+    count = np.searchsorted(values, values + near, "right") - np.searchsorted(values, values - near)
+    kept = values[count >= rules.NEAR_SHARE * len(values)]
+    return float(kept[0]), float(kept[-1])
 
 
 def smooth(values: Array, count: int) -> Array:

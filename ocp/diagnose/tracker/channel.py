@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from ocp.diagnose.engine.channel_system import UNSEEN, Fold, HeldOut, ReadingConditions, Sealed, System, Variants
+from ocp.diagnose.engine.kernels import measured_ranges
 from ocp.diagnose.rules import BACKGROUND_SIZES, LEAST_CHANGES, LEAST_GROUP, PLACE_SURE, UNEVEN
 from ocp.diagnose.tracker.background import Background, background
 from ocp.diagnose.tracker.held_out import held_out_readings, predict_sealed_readings, tracker_folds
@@ -15,6 +16,7 @@ from ocp.diagnose.tracker.refit import Task, TrackerFit, gap_noise, is_restless,
 from ocp.effects.effect import Active, Effect, Scanned, Surroundings, effects_key, scan_key
 from ocp.effects.engine.readings import COLUMNS, PlacedReadings, by_readings, displaced, motion
 from ocp.effects.motor_harmonic import ratios_of
+from ocp.effects.patch import is_patch, within
 from robots.calibration.noise import reading_covariance, whitener
 from robots.calibration.uneven import GroupScatter, scatter_by_group, scatter_by_joint
 from robots.gravity import weight_torques
@@ -210,8 +212,11 @@ class TrackerChannel:
         return tracker_folds(self.readings)
 
     def held_out(self, fold: Fold, active: tuple[Active, ...]) -> HeldOut | None:
-        """Judge `active` on a fold."""
-        shown = [a for a in active if not self.blind(a.effect)]
+        """Judge `active` on a fold; what the held readings alone measured is beyond a patch's range."""
+        shown, rest = [a for a in active if not self.blind(a.effect)], ~np.asarray(fold.held, bool)
+        for k, one in enumerate(shown):
+            if is_patch(one.effect):
+                shown[k] = within(one, measured_ranges(self.conditions, one.scanned.get("about", (0.0,))[0], rest))
         return held_out_readings(self.task, self.fit, fold, shown, self.seen, self._bare)
 
     @cached_property

@@ -16,7 +16,7 @@ from ocp.diagnose.engine.beam import Search
 from ocp.diagnose.engine.channel_system import Channel, ReadingConditions
 from ocp.diagnose.engine.evidence import stack
 from ocp.diagnose.engine.findings import Alternative, Name
-from ocp.diagnose.engine.kernels import conditions_by_name, is_periodic, kernels, middle_of
+from ocp.diagnose.engine.kernels import is_periodic, kernels, measured_ranges, middle_of
 from ocp.diagnose.engine.linearisation import Linearisation, kernel_families
 from ocp.diagnose.engine.pool import given, make_pool, scan
 from ocp.effects.effect import Active, effects_key
@@ -44,11 +44,9 @@ def as_patch(name: Name, variant: int, size: float, channel: Channel) -> Active 
         middle, flat = middle_of(c.point), np.linalg.norm(c.point[:, :2], axis=1)
         more["about"] = (middle, float(flat.mean()), float(np.linalg.norm(c.point, axis=1).mean()))
         source = ON_BEAM[variant]
-    measured = conditions_by_name(c, c.reference, middle)
-    if not measured.keys() >= set(conditions_of(features)):
+    limits = measured_ranges(c, middle)
+    if not limits.keys() >= set(conditions_of(features)):
         return None
-    # What settles is gone after a wait longer than any that was measured.
-    limits = {n: (0.0 if n.startswith("settling") else float(v.min()), float(v.max())) for n, v in measured.items()}
     return make_patch(source, where, name.joint, features, limits, size, signal, **more)
 
 
