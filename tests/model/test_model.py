@@ -14,7 +14,7 @@ from ocp.plan.passes.posture import Seed
 from ocp.plan.passes.problem import PassProblem
 from ocp.plan.passes.solve import PassSolver
 from ocp.plan.passes.stage import N_ROWS, ObjectiveWeights, build_stage
-from ocp.plan.second_route import believed_robot, bent
+from ocp.plan.second_route import _jacobian, _linear_compliance, _local_shape, believed_robot, bent
 from robots.calibration.store import Calibration
 from robots.pose import apply
 from robots.reference_kinematics import elementary_forward
@@ -93,6 +93,30 @@ def test_robot_compliance_under_contact_equals_finite_differences():
     f = e + cell.wheel.friction * np.cross(cell.wheel.axis, e)
     expected = 21.0 * e @ J @ np.diag(1 / cell.robot.stiffness) @ J.T @ f
     assert seen.parts[k, 3] == pytest.approx(expected, rel=1e-5)
+
+
+@pytest.mark.parametrize("belt", [1.0, -1.0])
+def test_the_second_route_has_the_model_s_local_shape_and_give(belt):
+    """On a twisted surface that stands askew to the belt, with friction, whichever way the belt runs."""
+    bundled = bundled_cell()
+    cell = replace(bundled, wheel=replace(bundled.wheel, belt_speed=belt * bundled.wheel.belt_speed, friction=0.4))
+    at = problem()
+    at = replace(at, path=replace(at.path, curvature=np.tile([-3.0, 25.0, 4.0], (40, 1))))
+    theta = believed_theta(cell)
+    q = Q + 0.3 * np.eye(6)[3] + 1e-2 * np.sin(np.arange(240).reshape(40, 6))
+    seen = PassSolver(cell, LineLaw(), theta, ObjectiveWeights()).evaluate(at, q, np.full(40, 21.0))
+    believed = believed_robot(cell, cell.robot.mdh, theta.values[30:36], 25.0, cell.workpiece.payload.com)
+    n, t = (np.einsum("kij,kj->ki", seen.T_base_blade[:, :3, :3], v) for v in (at.path.n, at.path.t))
+    e, sense = cell.wheel.outward(seen.arc), -cell.process.sigma * cell.wheel.travel
+    shapes = [_local_shape(cell, at.path, k, n[k], t[k], e[k], seen.lateral[k]) for k in range(40)]
+    assert np.array([[s.kxx, s.kyy, s.kxy] for s in shapes]) == pytest.approx(seen.curvature, rel=1e-3, abs=1e-2)
+    assert np.array([[s.tilt_x, s.tilt_y] for s in shapes]) == pytest.approx(seen.tilt, abs=1e-4)
+    heading = sense * np.array([s.heading for s in shapes])
+    assert np.arctan2(heading[:, 1], heading[:, 0]) == pytest.approx(seen.turn, abs=1e-4)
+    assert np.abs(seen.turn).min() > 0.1 and np.abs(seen.tilt).max() > 0.05
+    J = _jacobian(cell, believed, bent(cell, believed, q), at.path.p)
+    give = _linear_compliance(cell, believed, J, e, n, t, np.tile(GIVE, (40, 1)), cell.wheel.friction)
+    assert 21.0 * give[:, :2] == pytest.approx(seen.parts[:, 2:], rel=2e-3)
 
 
 def test_turn_and_tilt_read_what_the_pose_was_given():

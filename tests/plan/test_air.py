@@ -2,6 +2,7 @@
 
 import itertools
 from dataclasses import dataclass, replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,10 +11,12 @@ from hypothesis import strategies as st
 
 from ocp.plan import motion
 from ocp.plan.clearance import Clearance, CollisionScene
-from ocp.plan.motion import FAR, connect, dense, is_free, lifted, travel
-from ocp.plan.rules import COLLISION_STEP
+from ocp.plan.motion import FAR, build_motion, connect, dense, is_free, lifted, travel
+from ocp.plan.passes.stretches import CannotGrind
+from ocp.plan.rules import COLLISION_STEP, HOME_LIFT, LIMIT_SHARE
 from robots.errors import Infeasible
 from robots.kinematics import forward
+from tests.support import invented_motion
 from tests.support.example_pass import bundled_cell
 
 READY = np.radians([3.0, -80.0, 95.0, 10.0, 50.0, 20.0])
@@ -166,6 +169,66 @@ def test_the_search_gives_up_where_the_wall_has_no_gap(monkeypatch):
     low, high = np.radians(np.full(6, -180.0)), np.radians(np.full(6, 180.0))
     scene = wall([25, -400], [35, 400])
     assert connect(scene, low, high, np.zeros(6), np.radians([60.0, 0, 0, 0, 0, 0])) is None
+
+
+# -- the whole of it -----------------------------------------------------------------------------------------------
+
+
+def invented_passes():
+    """Two passes, each with its own place on the wheel at either end."""
+    found = []
+    for k, one in enumerate(invented_motion.motion().passes):
+        arc = np.linspace(0.1, 0.2, len(one.solution.q)) + 0.2 * k
+        found.append(replace(one, evaluation=SimpleNamespace(**vars(one.evaluation), arc=arc)))
+    return found
+
+
+def test_a_motion_goes_from_home_by_every_pass_and_back_within_its_share_of_the_limits(cell, monkeypatch):
+    ends = []
+
+    def straight(cell, scene, start, goal):
+        ends.extend([start, goal])
+        return np.array([start[0], goal[0]])
+
+    monkeypatch.setattr(motion, "travel", straight)
+    made = build_motion(cell, wall([100, 0], [110, 10]), invented_passes())
+    segments = made.segments
+    assert [(s.kind, s.place) for s in segments] == [("travel", 0), ("pass", 0), ("travel", 1), ("pass", 1), ("travel", 2)]
+    for a, b in itertools.pairwise(segments):
+        assert b.start == pytest.approx(a.end)
+        np.testing.assert_allclose(a.trajectory.q(a.trajectory.duration), b.trajectory.q(0.0), atol=1e-9)
+    home, first = segments[0].trajectory.q(0.0), segments[1].trajectory.q(0.0)
+    np.testing.assert_allclose(segments[-1].trajectory.q(segments[-1].trajectory.duration), home, atol=1e-9)
+    off = (forward(cell.robot, home[None]) - forward(cell.robot, first[None]))[0, :3, 3]
+    arcs = [one.evaluation.arc for one in made.passes]
+    np.testing.assert_allclose(off, HOME_LIFT * cell.wheel.outward(arcs[0][0]), atol=1e-8)
+    outward = [arcs[0][0], arcs[0][0], arcs[0][-1], arcs[1][0], arcs[1][-1], arcs[0][0]]  # of home: of the first contact
+    np.testing.assert_allclose([normal for _, normal in ends], [cell.wheel.outward(arc) for arc in outward], atol=1e-12)
+    for s in segments:
+        assert s.trajectory.limits.margin == LIMIT_SHARE and 0 < s.trajectory.worst.torque <= LIMIT_SHARE
+        assert max(s.trajectory.worst.velocity, s.trajectory.worst.acceleration) <= LIMIT_SHARE
+
+
+@pytest.mark.parametrize(
+    ("blocked", "stands_free", "lost"), [(0, True, 0), (0, False, 0), (1, True, 1), (1, False, 0), (2, True, 1), (2, False, 1)]
+)
+def test_the_pass_is_left_out_that_the_arm_cannot_come_to_or_leave(cell, monkeypatch, blocked, stands_free, lost):
+    """Where it stands amid something after a pass it is that pass, else the one ahead; on the way home the last."""
+    ways = itertools.count()
+
+    def stuck(cell, scene, start, goal):
+        if next(ways) == blocked:
+            raise Infeasible("no free way between two passes: box and arm overlap; move the wheel")
+        return np.array([start[0], goal[0]])
+
+    monkeypatch.setattr(motion, "travel", stuck)
+    monkeypatch.setattr(motion, "is_free", lambda scene, points: stands_free)
+    passes = invented_passes()
+    order = motion._order(cell, [(p.solution.q[0], p.solution.q[-1]) for p in passes])
+    path = passes[order[lost]].problem.path
+    with pytest.raises(CannotGrind, match="no free way between two passes: box and arm overlap") as refused:
+        build_motion(cell, wall([100, 0], [110, 10]), passes)
+    assert refused.value.line == path.line and len(refused.value.at) == len(path.s)
 
 
 # -- order of the passes -------------------------------------------------------------------------------------------

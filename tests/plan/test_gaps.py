@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from ocp.model.cell import ForceFlange
+from ocp.plan import readback
 from ocp.plan.passes.course import Engagement, air_to_air, path_at
 from ocp.plan.passes.problem import PassProblem
 from ocp.plan.passes.stretches import CannotGrind
@@ -16,6 +17,7 @@ from robots.gravity import GRAVITY
 from robots.pose import apply, invert
 from robots.reference_kinematics import elementary_forward
 from tests.plan.test_effects_plan import cell_with
+from tests.support import invented_motion
 from tests.support.example_pass import bar_pass, bundled_cell
 from tests.support.invented_motion import SEED
 
@@ -156,6 +158,22 @@ def test_a_blade_that_touches_early_is_refused_with_its_depth(rigid):
         _touching_in_air(rigid, arm(rigid), one, *rows)
     apart = replace(rigid, wheel=replace(rigid.wheel, radius=rigid.wheel.radius - 0.7e-3))
     assert _touching_in_air(apart, arm(apart), one, *rows) == 0.0
+
+
+def test_on_the_way_in_the_first_point_is_looked_at_and_on_the_way_out_the_last(rigid, monkeypatch):
+    one = invented_motion.motion().passes[0]
+    n, edges = len(one.problem.path.s), one.problem.way.edges
+    problem, seen = replace(one.problem, compliance=np.arange(n)[:, None] * np.ones(3)), []
+
+    def far(cell, believed, path, at, give, q, conditions):
+        seen.append((range(n)[at], give[0], q[:, 0].tolist()))
+        return np.full(len(q), 1.0)
+
+    monkeypatch.setattr(readback, "gaps", far)
+    nominal = np.array([0.5 * edges[1], edges[1] + 1e-3, edges[4] - 1e-3, 0.5 * (edges[4] + edges[-1])])
+    q = np.arange(4.0)[:, None] * np.ones(6)
+    assert _touching_in_air(rigid, arm(rigid), SimpleNamespace(problem=problem), nominal, q, nominal) == 0.0
+    assert seen == [(0, 0.0, [0.0]), (n - 1, n - 1.0, [3.0])]
 
 
 def test_a_motion_without_a_way_through_the_air_has_nothing_to_touch(rigid):

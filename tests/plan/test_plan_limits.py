@@ -29,7 +29,7 @@ from ocp.data import CELL
 from ocp.model.blade_gap import SurfaceCloud
 from ocp.plan import readback, rules
 from ocp.plan.clearance import Clearance, CollisionScene
-from ocp.plan.grades import Grades, grade_force, stop_preload
+from ocp.plan.grades import CALIBRATED, NOT_TO_GRIND, Grade, Grades, grade_force, grade_move, stop_preload
 from ocp.plan.motion import _timed as _timed_pass
 from ocp.plan.motion import is_free
 from ocp.plan.passes import posture
@@ -45,11 +45,12 @@ from ocp.plan.passes.transcription import N_DYNAMIC
 from ocp.plan.paths import PlanOptions, refuse_flange
 from ocp.plan.planning import make_plan
 from ocp.plan.programming import force_allowed
-from ocp.plan.readback import BlendError, _timed, force_error
+from ocp.plan.readback import BlendError, Readback, _timed, force_error
 from ocp.plan.removal.dwell import beyond_reach
 from ocp.plan.removal.wanted import Wanted
 from ocp.plan.second_route import VerifiedPass
 from ocp.shell.progress import Phases
+from robots.calibration.store import Calibration
 from robots.errors import BadInput, Infeasible
 from robots.gravity import GRAVITY
 from robots.kinematics import link_frames
@@ -539,6 +540,30 @@ def test_a_force_that_is_off_is_refused(cell, flange):
             read(sign * (tolerance + 1e-9))
 
 
+def test_the_row_is_judged_that_is_farthest_off_for_its_mount_and_told_where_it_is(cell):
+    """On the ramp 0.9 N off, which its stop allows; along the line 0.3 N, which the flange does not."""
+    path = bar_pass()
+    full = float(path.force[0])
+    planned = np.minimum(np.linspace(0.2, 1.2, 40), 1.0) * full
+    found = planned + np.where(np.arange(40) == 11, 0.9, 0.0) + np.where(np.arange(40) == 30, 0.3, 0.0)
+    seen = VerifiedPass(path.s / path.feed, path.s, found, 0.0 * path.s, planned, np.full(40, 0.6 * full))
+    with pytest.raises(CannotGrind, match=rf"{1e3 * path.s[30]:.1f} mm along it: .* 0\.30 N off \(at most 0\.2\)") as refused:
+        force_error(cell, path, seen)
+    assert refused.value.at == pytest.approx(path.s[[30]])
+
+
+def test_a_ramp_is_judged_as_on_a_stop_until_the_force_is_a_little_beyond_it(cell):
+    path = bar_pass()
+    for beyond, held in ((rules.LEAVING - 1e-6, True), (rules.LEAVING + 1e-6, False)):
+        planned = np.full(40, 12.0 + beyond)
+        seen = VerifiedPass(path.s / path.feed, path.s, planned + 0.9, 0.0 * path.s, planned, np.full(40, 12.0))
+        if held:
+            assert force_error(cell, path, seen) == pytest.approx(0.9)
+        else:
+            with pytest.raises(CannotGrind, match=r"0\.90 N off \(at most 0\.2\)"):
+                force_error(cell, path, seen)
+
+
 def test_on_its_stop_a_flange_is_as_stiff_as_none_until_the_force_has_risen(cell):
     """Preload 12 N: on a ramp below it 0.9 N off pass, 2.1 N are refused with what would do; nothing of it on the line."""
     path = bar_pass()
@@ -591,6 +616,28 @@ def test_a_text_that_uses_more_than_an_axis_has_is_refused(cell, execution):
     assert weaker(1 + 1e-6) == pytest.approx(rules.READ_BACK_LIMIT)
     with pytest.raises(Infeasible, match="of an axis limit between its points; nothing is written"):
         weaker(1 - 1e-6)
+
+
+@pytest.mark.parametrize("block", range(5))
+def test_the_worst_of_all_blocks_is_what_is_judged(cell, execution, block, monkeypatch):
+    """One block of the text that turns faster, speeds up harder or goes elsewhere than it does."""
+    real = reinterpolate(execution, cell.robot)
+    begin, end = np.append(real.starts, real.duration)[[block, block + 1]] + [1e-3, -1e-3]
+
+    def read(name, change):
+        def altered(t):
+            values = getattr(real, name)(t)
+            return np.where(((t > begin) & (t < end))[:, None], change(values), values)
+
+        program = SimpleNamespace(**vars(real), **{one: getattr(real, one) for one in ("q", "qd", "qdd")} | {name: altered})
+        monkeypatch.setattr(readback, "reinterpolate", lambda *_: program)
+        return _timed(cell, invented_motion.motion(), execution)
+
+    for name, most in (("qd", cell.robot.qd_max), ("qdd", cell.robot.qdd_max)):
+        assert read(name, lambda _, most=most: -0.99 * most)[3] == pytest.approx(0.99)
+        with pytest.raises(Infeasible, match=r"would use 1\.010 of an axis limit"):
+            read(name, lambda _, most=most: -1.01 * most)
+    assert read("q", lambda q: q - 1e-3)[1] == pytest.approx(1e-3, abs=3e-5)
 
 
 @dataclass
@@ -697,6 +744,38 @@ def test_a_force_that_is_not_known_to_a_twentieth_is_amber(cell):
         assert grade_force(cell, 20.0, sd - 1e-9, off - 1e-9).grade == "green"
     assert grade_force(cell, 20.0, limit + 1e-9, 0.02).grade == "amber"
     assert grade_force(cell, 20.0, 0.1, limit + 1e-9).grade == "amber"
+
+
+@pytest.mark.parametrize(
+    ("move", "force", "headline", "status", "holds"),
+    [
+        ("green", "green", "Safe to use.", "safe", "It holds"),
+        ("amber", "green", "Safe to use, with care.", "safe", "It holds"),
+        ("green", "amber", "Safe to use, with care.", "safe", "It may miss"),
+        ("green", "red", NOT_TO_GRIND, "safe_to_move", "It is not known to hold"),
+        ("amber", "red", NOT_TO_GRIND, "safe_to_move", "It is not known to hold"),
+    ],
+)
+def test_the_verdict_is_no_better_than_the_worse_of_its_grades(move, force, headline, status, holds):
+    grades = Grades(Grade(move, "it moves"), Grade(force, "as measured"), "20 N")
+    assert (grades.headline, grades.status) == (headline, status)
+    assert grades.sentences() == f"It is safe to move ({move}): it moves. {holds} 20 N ({force}): as measured."
+
+
+def test_a_motion_whose_speeds_were_not_checked_is_amber():
+    timed, chained = (grade_move(Readback([], 0.1, np.radians(0.002), 0.0, ratio, 0.0)) for ratio in (0.873, np.nan))
+    assert timed.grade == "green" and "within 0.002 deg and uses at most 87 % of an axis' speed" in timed.why
+    assert chained.grade == "amber" and "within 0.002 deg" in chained.why and "were not checked" in chained.why
+
+
+def test_what_would_tell_the_force_better_is_what_was_not_measured(cell):
+    def advice(*names):
+        known = Calibration(cell.robot.name, names, np.zeros(len(names)), np.eye(len(names)), {}) if names else None
+        return grade_force(replace(cell, calibration=known), 20.0, 3.0, 0.02).why
+
+    assert CALIBRATED in advice()
+    assert "wheel and blade are not registered" in advice("a2", "sensor_bias")
+    assert "the cell has drifted or was little measured" in advice("a2", "wheel_y")
 
 
 def test_straight_motions_that_blend_are_amber_beyond_the_limits_of_force_and_depth(cell):

@@ -50,6 +50,16 @@ def test_what_only_the_controller_knows_is_refused_where_a_path_uses_it(body, wo
     assert [x_of(s) for s in segments(tmp_path, body + literal + PATH)] == [10.0, 1.0, 1.0]  # numbers again
 
 
+@pytest.mark.parametrize("body", ["H.A2=H.A2+1.0\n", "H=OTHER_H\n"])
+def test_axes_that_only_the_controller_knows_are_refused_on_a_path_and_left_out_of_a_move(body, tmp_path):
+    places = PLACES + "DECL E6AXIS H={A1 1,A2 -80,A3 90,A4 0,A5 10,A6 0}\n"
+    assert np.degrees(segments(tmp_path, "H.A2=-75.0\nLIN H\n", places)[0].q[0, 1]) == pytest.approx(-75.0)
+    with pytest.raises(BadInput, match=r"old\.src, line 5: H is computed when the program runs \(old\.src, line 4\)"):
+        segments(tmp_path, body + "LIN H\n", places)
+    assert [s.word for s in segments(tmp_path, body + "PTP H\nLIN P1\n", places)] == ["LIN"]
+    assert "the position H is not in" in execute(tmp_path / "old.src", strict=False).notices[0]
+
+
 @pytest.mark.parametrize(
     ("body", "speed"),
     [
@@ -79,6 +89,13 @@ def test_a_set_override_is_told(tmp_path):
     assert told.notices == ("old.src, line 5: the override is set; feeds are taken as $VEL.CP has them, not slower by it",)
     segments(tmp_path, "$OV_PRO=100\n" + PATH)
     assert not execute(tmp_path / "old.src", strict=False).notices
+
+
+def test_a_call_of_a_foreign_program_is_passed_over_and_of_a_missing_part_of_its_own_refused(tmp_path):
+    assert len(segments(tmp_path, "CLEAN(1)\n" + PATH)) == 3
+    assert "old.src, line 4: CLEAN is called and is not in" in execute(tmp_path / "old.src", strict=False).notices[0]
+    with pytest.raises(BadInput, match=r"old\.src, line 7: the program OLD_02 is called and is not in .* put it beside"):
+        segments(tmp_path, PATH + "OLD_02()\n")
 
 
 def test_an_outer_axis_that_moves_along_the_path_is_refused(tmp_path):

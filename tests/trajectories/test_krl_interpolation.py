@@ -131,6 +131,16 @@ def test_blended_lines_keep_the_speed_of_each_side_and_never_rest():
     assert len(found.corners) == 11 and (np.diff(found.corners) > 0).all()
 
 
+def test_a_line_by_itself_is_sped_up_along_driven_and_stopped():
+    """10 mm at 40 mm/s with 1 m/s^2, straight: its way over its speed, and a speed over an acceleration more."""
+    poses = np.tile(np.eye(4), (2, 1, 1))
+    poses[1, 0, 3] = 0.01
+    found = drive_lines(lines(poses, [0.04]), poses[0])
+    assert found.times[-1] == pytest.approx(0.01 / 0.04 + 0.04, abs=1e-9) and np.allclose(found.corners, [0.0, found.times[-1]])
+    assert np.allclose(found.poses[[0, -1]], poses) and np.abs(found.poses[:, 1:3, 3]).max() < 1e-12
+    assert (np.diff(found.poses[:, 0, 3]) >= 0).all()
+
+
 def test_points_of_straight_motions_are_as_far_apart_as_a_controller_needs(tmp_path):
     contact = legs()[2].trajectory
     execution = check_program(write(example("lin"), tmp_path), ROBOT)

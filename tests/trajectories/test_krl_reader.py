@@ -92,6 +92,15 @@ def test_an_old_program_in_base_coordinates_gives_the_same(tmp_path):
     assert np.allclose(passes[0].frames, contact_poses(Q)[1:], atol=1e-8)
 
 
+@pytest.mark.parametrize("begins", ["", "BAS (#INITMOV,0 )\n"])
+def test_a_program_that_does_not_name_the_mode_gives_poses_of_the_tool_in_the_base(begins, tmp_path):
+    poses = invert(T_BASE_WHEEL) @ elementary_forward(Q) @ T_FLANGE_BLADE
+    frames = f"$TOOL={frame(T_FLANGE_BLADE)}\n$BASE={frame(T_BASE_WHEEL)}\n"
+    (tmp_path / "x.src").write_text(f"DEF x( )\n{begins}{frames}{''.join(f'LIN {frame(P)}' + chr(10) for P in poses)}END\n")
+    passes, notices = old_passes(tmp_path / "x.src")
+    assert np.allclose(passes[0].flange, elementary_forward(Q), atol=1e-7) and not notices
+
+
 def test_frames_that_the_program_sets_count_for_its_own_poses(tmp_path):
     tool, base = transform_from_xyzabc([0.1, 0, 0.3], [0.2, 0, 0]), transform_from_xyzabc([1, 0.5, 0.8], [0, 0.3, 0])
     P = invert(elementary_forward(Q) @ tool) @ base
@@ -104,6 +113,27 @@ def test_frames_that_the_program_sets_count_for_its_own_poses(tmp_path):
     assert np.allclose(passes[0].flange, elementary_forward(Q), atol=1e-7)
     assert np.allclose(passes[0].frames, contact_poses(Q), atol=1e-7)
     assert (passes[0].feed == 0.05).all() and not notices
+
+
+@pytest.mark.parametrize("tool", ["BAS(#TOOL,12)", "$TOOL=TOOL_DATA[12]"])
+def test_of_the_cell_only_the_frame_is_taken_that_the_program_lacks(tool, tmp_path):
+    base = transform_from_xyzabc([1, 0.5, 0.8], [0, 0.3, 0])
+    P = invert(elementary_forward(Q) @ T_FLANGE_BLADE) @ base
+    body = "".join(f"LIN {frame(T)}\n" for T in P)
+    (tmp_path / "x.src").write_text(f"DEF x( )\n{tool}\n$BASE={frame(base)}\n$IPO_MODE=#TCP\n{body}END\n")
+    passes, notices = old_passes(tmp_path / "x.src")
+    assert notices == ("x.src: tool 12 is not in the program; the cell's blade frame is taken",)
+    assert np.allclose(passes[0].flange, elementary_forward(Q), atol=1e-7)
+    assert np.allclose(passes[0].frames, contact_poses(Q), atol=1e-7)  # seen by the cell's wheel, wherever the base was
+
+
+def test_a_path_through_axes_and_poses_has_a_pose_for_every_line_and_no_axes(tmp_path):
+    axes = "{" + ",".join(f"A{k} {v:.9f}" for k, v in enumerate(np.degrees(Q[0]), 1)) + "}"
+    body = "".join(f"LIN {target}\n" for target in (axes, *(frame(P) for P in contact_poses(Q[1:]))))
+    (tmp_path / "x.src").write_text(f"DEF x( )\n$IPO_MODE=#TCP\n{body}END\n")
+    (one,), _ = old_passes(tmp_path / "x.src")
+    assert one.q is None and len(one.lines) == len(one.feed) == 3
+    assert np.allclose(one.flange, elementary_forward(Q), atol=1e-7)
 
 
 @pytest.mark.parametrize("kind", ["cartesian", "lin"])
@@ -177,7 +207,8 @@ def test_declarations_with_strings_and_nested_values():
         ("LIN_REL {X 1}", "not supported"),
         ("LIN XP1:XP2", "geometric operator"),
         ("LIN XP99", "not declared"),
-        ("LIN {X 1,Y 2}", "not complete"),
+        ("LIN {X 1,Y 2}", "not complete; expected A1..A6 or X, Y, Z, A, B, C"),
+        ("LIN {A1 1,A2 2,A3 3,A4 4,A5 5}", "not complete; expected A1..A6 or X, Y, Z, A, B, C"),
     ],
 )
 def test_what_hides_the_path_is_refused_with_its_line(line, words, tmp_path):

@@ -7,7 +7,7 @@ from robots.errors import BadInput
 from tests.support import blade_samples
 from trajectories.blade import Blade, find_shape
 from trajectories.passes import PassOptions, passes
-from trajectories.path_points import read_path_file
+from trajectories.path_points import FEED_LIMIT, facet_curvature, read_path_file
 
 HEADER = ["line", "px_mm", "py_mm", "pz_mm", "nx", "ny", "nz", "tx", "ty", "tz"]
 
@@ -173,3 +173,31 @@ def test_a_path_that_turns_back_on_itself_is_refused(tmp_path, sample):
     rows = rows_of(sample[2][:1])[:3]
     with pytest.raises(BadInput, match="deg off the way from point to point"):
         read(write(tmp_path, [rows[0], rows[1], rows[0]]), sample)
+
+
+@pytest.mark.parametrize("more", [-1e-3, 1e-3])
+def test_a_feed_direction_is_that_of_travel_within_a_limit(tmp_path, sample, more):
+    line = sample[2][0]
+    b = np.cross(line.n, line.t)
+    askew = np.cos(FEED_LIMIT + more) * line.t + np.sin(FEED_LIMIT + more) * b
+    rows = [[1, *(1e3 * line.p[k]), *line.n[k], *(askew[k] if k == 9 else line.t[k])] for k in range(len(line.p))]
+    if more < 0:
+        assert read(write(tmp_path, rows), sample)[0][0].t[9] == pytest.approx(askew[9], abs=1e-3)
+    else:
+        with pytest.raises(BadInput, match=r"line 11: t is 60 deg off the way .* \(limit 60 deg\)"):
+            read(write(tmp_path, rows), sample)
+
+
+def test_the_curvature_of_facets_is_that_of_a_cylinder_seen_along_the_feed():
+    """Half of 1/R along a helix of 45 deg, as much across, and half of it in twist, whose sign is that of the helix."""
+    radius, turns, rings = 0.02, 90, 31
+    angle, z = np.meshgrid(np.linspace(0, 2 * np.pi, turns, endpoint=False), np.linspace(0, 0.04, rings), indexing="ij")
+    corners = np.column_stack([radius * np.cos(angle.ravel()), radius * np.sin(angle.ravel()), z.ravel()])
+    i, k = (v.ravel() for v in np.meshgrid(np.arange(turns), np.arange(rings - 1), indexing="ij"))
+    a, b, c, d = (((i + di) % turns) * rings + k + dk for di, dk in ((0, 0), (1, 0), (1, 1), (0, 1)))
+    tube = Blade("tube", "", corners, np.vstack([np.column_stack([a, b, c]), np.column_stack([a, c, d])]))
+    n, around, up = np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0])
+    for sense in (1.0, -1.0):
+        t = (around + sense * up) / np.sqrt(2)
+        found = facet_curvature(tube, radius * n[None] + 0.02 * up, n[None], t[None], np.cross(n, t)[None])[0]
+        assert found == pytest.approx(np.array([0.5, 0.5, -0.5 * sense]) / radius, rel=0.03)

@@ -84,6 +84,20 @@ def test_no_limit_is_ever_exceeded_on_random_paths(seed, n, size, feed, margin):
     assert np.allclose(trajectory.q(trajectory.times), q[trajectory.kept], atol=1e-9)
 
 
+@pytest.mark.parametrize("size", [0.01, 1.0])
+def test_speeds_accelerations_and_feed_are_what_the_joints_do(size):
+    """Of a short move too, whose speed is above its length, in numbers."""
+    start = np.radians([5.0, -70, 100, 10, -40, 20])
+    move = time_joint_move(start, start + size * np.array([0.2, -1.0, 0.5, 0.1, 0.7, -0.3]), ARM, window=0.02)
+    t, h = np.linspace(0.0, move.duration, 200)[1:-1], 1e-6
+    before, here, after = (move.q(t + d) for d in (-h, 0.0, h))
+    assert np.allclose(move.qd(t), (after - before) / (2 * h), atol=1e-6)
+    assert np.allclose(move.qdd(t), (move.qd(t + h) - move.qd(t - h)) / (2 * h), atol=1e-3)
+    assert np.allclose(move.feed(t), np.abs(move.qd(t)).max(axis=1), atol=1e-9) and np.allclose(
+        move.motion(t)[0], here, atol=1e-12
+    )
+
+
 @pytest.mark.parametrize("distance, v, a", [(1.0, 1.0, 2.0), (1.0, 10.0, 2.0), (0.01, 2.0, 3.0), (2.5, 0.3, 5.0)])
 def test_a_single_axis_move_takes_the_bang_bang_time(distance, v, a):
     limits = Limits(np.full(6, v), np.full(6, a), np.full(6, -9.0), np.full(6, 9.0), margin=1.0)
@@ -94,6 +108,15 @@ def test_a_single_axis_move_takes_the_bang_bang_time(distance, v, a):
     assert analytic <= sharp.duration <= 1.004 * analytic
     smooth = time_joint_move(np.zeros(6), goal, limits, window=0.05)
     assert smooth.duration == pytest.approx(sharp.duration + 0.05, rel=1e-3)
+
+
+def test_a_joint_move_goes_straight_from_its_start_to_its_goal():
+    start, goal = np.radians([[5.0, -70, 100, 10, -40, 20], [25.0, -80, 95, 10, -10, 50]])
+    move = time_joint_move(start, goal, ARM)
+    q = move.q(np.linspace(0.0, move.duration, 101))
+    assert np.allclose(q[[0, -1]], [start, goal], atol=1e-12)
+    share = (q[:, 4] - start[4]) / (goal[4] - start[4])
+    assert np.allclose(q, start + share[:, None] * (goal - start), atol=1e-9) and (np.diff(share) > -1e-12).all()
 
 
 def test_the_feed_is_constant_in_the_middle_of_a_pass_and_never_above_its_bound():
@@ -116,6 +139,17 @@ def test_a_feed_that_varies_along_the_pass_is_followed():
     assert np.all(trajectory.feed(t) <= np.interp(trajectory.s(t), s, bound) * (1 + 1e-9))
     assert trajectory.feed(trajectory.times[50]) == pytest.approx(0.04, rel=1e-3)
     assert trajectory.feed(trajectory.times[150]) == pytest.approx(0.02, rel=1e-3)
+    assert max(ramps(trajectory)) < 0.008  # of its own feed at either end
+
+
+def test_a_path_that_rests_at_its_ends_is_driven_at_its_feed_from_the_start():
+    """Joints that move with the cube of the way to either end: the path's parameter need not rest there."""
+    k = np.linspace(0.0, 1.0, 200)
+    q = (10 * k**3 - 15 * k**4 + 6 * k**5)[:, None] * np.radians([3.0, -2, 4, 1, -3, 2])
+    trajectory = time_contact_path(q, 0.1 * k, 0.04, ARM, window=0.01, at_rest=True)
+    assert trajectory.duration == pytest.approx(0.1 / 0.04 + 0.01, rel=1e-3)
+    assert np.all(trajectory.feed(np.linspace(0.011, trajectory.duration - 0.011, 500)) > 0.0399)
+    assert np.allclose(trajectory.qd([0.0, trajectory.duration]), 0, atol=1e-9)
 
 
 def test_the_path_acceleration_has_no_jumps_and_without_the_running_mean_it_has():
@@ -140,11 +174,25 @@ def test_an_axis_outside_its_range_is_refused():
         time_contact_path(q + 6.0, s, 0.04, ARM)
 
 
+def test_an_axis_that_leaves_its_range_between_two_waypoints_is_refused():
+    """Four waypoints of a parabola, within the range themselves: it is 0.125 rad higher in the middle."""
+    q = np.array([0.0, 1.0, 1.0, 0.0])[:, None] * np.eye(6)[2]
+    for most, sign in ((1.13, 1.0), (1.12, 1.0), (1.13, -1.0), (1.12, -1.0)):
+        limits = replace(ARM, torque=None, q_min=np.full(6, -most), q_max=np.full(6, most))
+        if most > 1.125:
+            time_contact_path(sign * q, np.linspace(0.0, 0.09, 4), 0.04, limits)
+        else:
+            with pytest.raises(Infeasible, match=r"axis 3 is 0\.286 deg outside its range at station 45\.0 mm"):
+                time_contact_path(sign * q, np.linspace(0.0, 0.09, 4), 0.04, limits)
+
+
 def test_paths_that_are_none_are_refused():
     q, s = smooth_pass(20)
     with pytest.raises(BadInput, match="no number"):
         time_contact_path(np.where(np.arange(20)[:, None] == 7, np.nan, q), s, 0.04, ARM)
-    with pytest.raises(BadInput, match="waypoint 5 to 6"):
+    with pytest.raises(BadInput, match="waypoint 8 holds a value that is no number"):  # of one axis alone
+        time_contact_path(np.where((np.arange(20)[:, None] == 7) & (np.arange(6) == 2), np.nan, q), s, 0.04, ARM)
+    with pytest.raises(BadInput, match=r"waypoint 5 to 6 the arc length grows by -24\.73\d+ mm"):
         time_contact_path(q, np.where(np.arange(20) >= 5, s - 0.03, s), 0.04, ARM)
     with pytest.raises(BadInput, match="feed must be above 0"):
         time_contact_path(q, s, 0.0, ARM)
@@ -181,7 +229,8 @@ def test_the_running_mean_is_the_mean_of_the_law():
         window = np.linspace(t - 0.1, t, 4001)
         expected = np.trapezoid(sharp(np.clip(window, 0, sharp.x[-1])), window) / 0.1
         assert smooth(t) == pytest.approx(expected, abs=1e-6)
-    assert np.allclose(smooth(times_at(smooth, np.linspace(0, 1, 23))), np.linspace(0, 1, 23), atol=1e-12)
+    for law in (smooth, sharp):
+        assert np.allclose(law(times_at(law, np.linspace(0, 1, 23))), np.linspace(0, 1, 23), atol=1e-12)
 
 
 def test_toppra_alone_breaks_limits_and_the_check_mends_it():
@@ -197,18 +246,23 @@ def test_toppra_alone_breaks_limits_and_the_check_mends_it():
     raw = timing._trajectory(path, time_law(rows.grid, squared_speeds(rows, 0.05), 0.0))
     assert raw.ratios(sample_times(raw)).max() > 1.03
     mended = time_contact_path(q, s, None, limits, window=0.0)
+    assert mended.status is TimingStatus.HELD  # by slowing it down where it needs that, not all along
     assert mended.ratios(np.linspace(0, mended.duration, 20001)).max() <= 1.0 + 1e-9
 
 
-def test_slow_motion_as_the_last_resort_holds_the_limits(monkeypatch):
+@pytest.mark.parametrize("binds", ["acceleration", "speed", "torque"])
+def test_slow_motion_as_the_last_resort_holds_the_limits(binds, monkeypatch):
     from trajectories import timing
 
     monkeypatch.setattr(timing, "ROUNDS", 1)
     monkeypatch.setattr(timing, "RESERVE", 1.2)
     q, s = smooth_pass(seed=3, size=0.2)
-    trajectory = timing.time_contact_path(q, s, 0.5, replace(ARM, margin=0.8))
+    free = {"qd": 100.0 * ARM.qd, "qdd": 100.0 * ARM.qdd, "torque": None}
+    free.pop({"acceleration": "qdd", "speed": "qd", "torque": "torque"}[binds])
+    trajectory = timing.time_contact_path(q, s, 0.5, replace(ARM, margin=0.8, **free))
     assert trajectory.status is TimingStatus.SLOWED
     assert 0.75 < trajectory.limit_ratio(sample_times(trajectory)).max() <= 0.8
+    assert getattr(trajectory.worst, {"speed": "velocity"}.get(binds, binds)) > 0.75
 
 
 def test_a_blade_of_3000_waypoints_is_timed_within_seconds():
