@@ -238,8 +238,11 @@ def _chained(cell: Cell, motion: PlannedMotion, execution: Execution) -> tuple[D
         poses = np.concatenate(
             [programmed_poses(frames, cell.robot, begin[None]), *(s.poses for s in chain if s.poses is not None)]
         )
-        gains = axis_gains(cell.robot, poses, axes_along(cell.robot, frames, poses, begin))
-        lines = drive_lines(chain, poses[0], gains)
+        written = axes_along(cell.robot, frames, poses, begin)
+        lost = np.flatnonzero(np.isnan(written).any(axis=1))
+        if len(lost):
+            raise Infeasible(f"{chain[max(lost[0] - 1, 0)].place()}: the arm does not reach this pose; nothing is written")
+        lines = drive_lines(chain, poses[0], axis_gains(cell.robot, poses, written))
         q = axes_along(cell.robot, frames, lines.poses, begin)
         at = _nearest(way, q)
         off = np.abs(q - way.q(at)).max(axis=1)

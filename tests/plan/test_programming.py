@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from ocp.plan import readback
 from ocp.plan.motion import PlannedMotion
 from ocp.plan.programming import build_timeline, emitted_times, grinding_program, wheel_frame, write_plan_csv, write_program
 from ocp.plan.readback import _apart, _chained, _timed
@@ -283,6 +284,38 @@ def test_a_chain_of_lines_that_something_parts_is_refused(tmp_path):
         _chained(cell(), motion(), checked(main))
 
 
+@pytest.mark.parametrize("place", ["first", "middle", "last"])
+def test_a_chain_to_a_pose_out_of_reach_is_refused_wherever_it_stands(place, tmp_path, monkeypatch):
+    """Of the last line, which is some hundredths of a millimetre long, nothing was seen."""
+    monkeypatch.setattr(readback, "SAMPLE", 0.02)
+    execution = checked(written(tmp_path, "lin")[1])
+    segments = list(execution.segments)
+    chain = [k for k, s in enumerate(segments) if s.kind == "line"]
+    chain = chain[: 1 + next(i for i, k in enumerate(chain) if not segments[k].blended)]
+    k = {"first": chain[0], "middle": chain[20], "last": chain[-1]}[place]
+    away = segments[k].poses + 3.0 * (np.arange(16) == 3).reshape(4, 4)
+    segments[k] = replace(segments[k], poses=away)
+    with pytest.raises(Infeasible, match=rf"line {segments[k].lines[0]}: the arm does not reach this pose; nothing is written"):
+        _chained(cell(), motion(), replace(execution, segments=tuple(segments)))
+
+
+@pytest.mark.parametrize("begins", [False, True])
+def test_a_chain_that_is_on_the_pass_but_not_all_of_it_is_refused(begins, tmp_path, monkeypatch):
+    """The last ten lines are gone, or the robot stands ten lines on where the first begins."""
+    monkeypatch.setattr(readback, "SAMPLE", 0.02)
+    execution = checked(written(tmp_path, "lin")[1])
+    segments = list(execution.segments)
+    last = next(k for k, s in enumerate(segments) if s.kind == "line" and not s.blended)
+    first = next(k for k, s in enumerate(segments) if s.kind == "line")
+    if begins:
+        there = axes_along(cell().robot, segments[first].frames, segments[first + 9].poses, segments[first - 1].q[-1])
+        segments[first - 1 : first + 10] = [replace(segments[first - 1], q=there)]
+    else:
+        segments[last - 10 : last + 1] = [replace(segments[last - 10], blended=False)]
+    with pytest.raises(Infeasible, match="the straight motions read back leave the plan"):
+        _chained(cell(), motion(), replace(execution, segments=tuple(segments)))
+
+
 def verified(driven, place):
     """What a verification of the rows of a pass in contact would say if every force were the planned one."""
     one, (t, _, nominal) = motion().passes[place], driven[place]
@@ -303,6 +336,12 @@ def test_lines_that_blend_are_on_the_plan_and_their_depth_is_measured(tmp_path):
     held, blends = _apart(motion(), 0, driven[0], verified(driven, 0))
     assert blends.force == 0.0 and 0.0 < blends.dose < 0.04
     assert held.planned.min() == pytest.approx(20.0, abs=1e-6) and len(held.s) < len(verified(driven, 0).s)
+    seen = verified(driven, 0)
+    beside = seen.planned < 19.0
+    for off, where, told in ((0.15, beside, 0.15), (-0.15, beside, 0.15), (0.15, ~beside & (seen.planned > 20.0 - 1e-6), 0.0)):
+        held, blends = _apart(motion(), 0, driven[0], replace(seen, force=seen.force + off * where))
+        assert blends.force == pytest.approx(told) and np.ptp(held.force) == pytest.approx(0.0, abs=1e-6)
+        assert held.force[0] - 20.0 == pytest.approx(0.15 - told, abs=1e-6)
     file = main.with_name(f"{main.stem}_01.src")
     speeds = list(re.finditer(r"\$VEL\.CP=([\d.]+)", text := file.read_bytes().decode()))
     for found in reversed(speeds[len(speeds) // 2 : len(speeds) // 2 + 10]):
