@@ -226,8 +226,6 @@ def _far_apart(a: Body, b: Body) -> bool:
     """Bodies of the arm that can meet: four joints apart (the wrist cannot fold onto the
     forearm), or the workpiece and anything up to the forearm."""
     carried = {"holder", "blade"}
-    if a.name in carried and b.name in carried:
-        return False
     if a.name in carried or b.name in carried:
         return min(a.frame, b.frame) <= 3
     return abs(a.frame - b.frame) >= 4

@@ -86,21 +86,25 @@ def test_a_lift_out_of_reach_is_refused(cell):
 
 
 def test_a_lift_beyond_an_axis_limit_names_the_axis(cell):
-    robot = cell.robot
-    tight = replace(robot, q_max=np.where(np.arange(6) == 2, READY[2] + 1e-3, robot.q_max))
-    with pytest.raises(Infeasible, match="axis 3"):
-        lifted(replace(cell, robot=tight), READY, np.array([-1.0, 0.0, 0.0]), np.array([0.3]))
+    robot, away = cell.robot, np.array([-1.0, 0.0, 0.0])
+    moved = np.degrees(lifted(cell, READY, away, np.array([0.3]))[0] - READY)
+    for axis, name in ((2, "q_max"), (1, "q_min")):
+        end = READY[axis] + np.sign(moved[axis]) * 1e-3
+        tight = replace(robot, **{name: np.where(np.arange(6) == axis, end, getattr(robot, name))})
+        beyond = abs(moved[axis]) - np.degrees(1e-3)
+        with pytest.raises(Infeasible, match=rf"axis {axis + 1} {beyond:.1f} deg beyond its limit"):
+            lifted(replace(cell, robot=tight), READY, away, np.array([0.3]))
 
 
 # -- from pass to pass ---------------------------------------------------------------------------------------------
 
 
 def test_a_dense_polyline_keeps_its_corners_and_its_step():
-    points = np.radians([[0, 0, 0, 0, 0, 0], [10, -3, 0, 0, 0, 0.5], [10, -3, 0, 0, 0, 0.5], [10, 20, 0, 0, 0, 0.0]])
+    points = np.radians([[0, 0, 0, 0, 0, 0], [10, -3, 0, 0, 0, 0.5], [10, -3, 0, 0, 0, 0.5], [10, -1.1, 0, 0, 0, 0.0]])
     fine = dense(points)
     assert np.abs(np.diff(fine, axis=0)).max() <= COLLISION_STEP * (1 + 1e-9)
     assert all(np.abs(fine - p).max(axis=1).min() < 1e-12 for p in points)
-    np.testing.assert_array_equal(fine[[0, -1]], points[[0, -1]])
+    np.testing.assert_allclose(fine[[0, -1]], points[[0, -1]], atol=1e-15)
 
 
 def test_a_free_straight_move_is_taken_as_it_is(cell):
@@ -112,14 +116,14 @@ def test_a_free_straight_move_is_taken_as_it_is(cell):
 
 def test_a_wall_on_the_straight_move_is_passed_farther_out(cell):
     """Two places before the wheel, something between them; 10 to 35 cm off the wheel there is room."""
-    normal = np.array([-1.0, 0.0, 0.0])
+    normal, beside = np.array([-1.0, 0.0, 0.0]), np.array([-0.95, -np.sqrt(1 - 0.95**2), 0.0])
     goal = READY + np.radians([16, 0, 0, 0, 0, 0])
-    out = [lifted(cell, q, normal, np.array([FAR[0]]))[0] for q in (READY, goal)]
+    out = [lifted(cell, q, n, np.array([FAR[0]]))[0] for q, n in ((READY, normal), (goal, beside))]
     middle = np.degrees(0.5 * (READY + goal))
     scene = wall([middle[0] - 2, middle[1] - 1.5], [middle[0] + 2, middle[1] + 1.5])
     assert abs(np.degrees(out[0][1]) - middle[1]) > 2.0, "the lift does not leave the wall; the test tells nothing"
     assert not is_free(scene, np.array([READY, goal]))
-    way = travel(cell, scene, (READY, normal), (goal, normal))
+    way = travel(cell, scene, (READY, normal), (goal, beside))
     np.testing.assert_allclose(way, [READY, *out, goal], atol=1e-12)
     assert is_free(scene, way)
 
@@ -169,6 +173,17 @@ def test_the_search_gives_up_where_the_wall_has_no_gap(monkeypatch):
     low, high = np.radians(np.full(6, -180.0)), np.radians(np.full(6, 180.0))
     scene = wall([25, -400], [35, 400])
     assert connect(scene, low, high, np.zeros(6), np.radians([60.0, 0, 0, 0, 0, 0])) is None
+
+
+def test_the_search_stays_within_the_ranges_of_the_axes(monkeypatch):
+    """The wall ends at 20 deg of axis 2: an axis that reaches 60 gets round it, one that reaches 19 does not."""
+    monkeypatch.setattr("ocp.plan.motion.ATTEMPTS", 300)
+    scene, goal = wall([25, -400], [35, 20]), np.radians([60.0, 0, 0, 0, 0, 0])
+    for most in (60.0, 19.0):
+        low, high = np.radians(np.full(6, -60.0)), np.radians([90.0, most, 60.0, 60.0, 60.0, 60.0])
+        way = connect(scene, low, high, np.zeros(6), goal)
+        assert (way is None) == (most < 20.0)
+        assert way is None or ((way >= low).all() and (way <= high).all())
 
 
 # -- the whole of it -----------------------------------------------------------------------------------------------

@@ -2,17 +2,18 @@
 
 import itertools
 import pickle
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from ocp.plan.clearance import BASE_PLANE, Clearance, CollisionScene
-from ocp.plan.rules import ARM_MARGIN, BLADE_MARGIN
+from ocp.plan.rules import ARM_MARGIN, BLADE_MARGIN, FLOOR_BELOW_WHEEL, HOLDER_RADIUS, HOLDER_SHARE
 from robots.inverse import inverse_branches
 from robots.kinematics import forward
-from robots.pose import rotation_from_abc
+from robots.pose import apply, rotation_from_abc
 from tests.support.block_blade import BLOCK, blade_before_wheel, joints_of
-from tests.support.example_pass import bundled_cell
+from tests.support.example_pass import bundled_cell, with_floor
 
 HOME = np.radians([0.0, -90.0, 90.0, 0.0, 45.0, 0.0])
 
@@ -88,6 +89,50 @@ def test_the_plane_of_the_base_is_as_far_as_the_lowest_point_of_a_capsule(cell, 
     assert found > 3
 
 
+@pytest.mark.parametrize("held", [True, False])
+def test_the_holder_is_a_rod_half_way_from_the_flange_to_the_middle_of_what_is_clamped(cell, held):
+    """Of all of the blade, where nothing of it is clamped."""
+    n, offset, T = cell.workpiece.clamp_normal, cell.workpiece.clamp_offset, cell.workpiece.T_flange_blade
+    cube = 0.004 * (np.indices((2, 2, 2)).reshape(3, 8).T - 0.5)
+    aside = np.linalg.svd(n[None])[2][1]
+    free, clamped = cube + (offset + 0.08) * n + 0.1 * aside, cube + (offset - 0.005) * n - 0.03 * aside
+    root = apply(T, clamped if held else free).mean(axis=0)
+    whole = np.vstack([free, clamped]) if held else free
+    (rod,) = (body for body in CollisionScene(cell, whole)._bodies if body.name == "holder")
+    length = HOLDER_SHARE * np.linalg.norm(root)
+    np.testing.assert_allclose(rod.placement[:3, 3], 0.5 * HOLDER_SHARE * root, atol=1e-12)
+    np.testing.assert_allclose(length * rod.placement[:3, 2], HOLDER_SHARE * root, atol=1e-12)
+    assert rod.frame == 6 and rod.shape.radius == HOLDER_RADIUS
+    assert 2 * rod.shape.halfLength == pytest.approx(length - HOLDER_RADIUS)
+
+
+@pytest.mark.parametrize("height", [1.0, 0.05])
+def test_below_a_wheel_that_hangs_lower_than_the_base_the_plane_kept_free_is_lower_too(cell, height):
+    low = replace(cell, wheel=replace(cell.wheel, centre=np.array([1.5, 0.0, height])))
+    (plane,) = (body for body in CollisionScene(low, BLOCK)._bodies if body.name == BASE_PLANE)
+    assert plane.shape.d == pytest.approx(min(0.0, height - low.wheel.radius - FLOOR_BELOW_WHEEL))
+    assert (plane.shape.d < -0.03) == (height < 0.5)
+
+
+def test_who_is_kept_apart_from_whom_and_by_how_much(cell):
+    """Bodies next to each other on the arm meet at their joint; nothing of the arm is let near the wheel, in contact or off it,
+    and in contact the blade alone touches it."""
+    arm, carried = ["column", "upper arm", "forearm", "wrist", "hand", "flange"], ["holder", "blade"]
+    wanted = {(one, "wheel"): (ARM_MARGIN, False) for one in arm}
+    wanted |= {("holder", "wheel"): (BLADE_MARGIN, False), ("blade", "wheel"): (BLADE_MARGIN, True)}
+    folded = [("base", one) for one in arm[3:]] + [("column", "hand"), ("column", "flange"), ("upper arm", "flange")]
+    folded += [(one, other) for one in ("base", *arm[:3]) for other in carried]
+    wanted |= dict.fromkeys(folded, (ARM_MARGIN, False))
+    below = {(one, BASE_PLANE): (ARM_MARGIN, False) for one in arm[1:] + carried}
+    floor = {(one, "floor"): (ARM_MARGIN, False) for one in arm[1:] + carried} | {("column", "floor"): (0.0, False)}
+    for one, ground in ((cell, below), (with_floor(cell, -500.0), floor)):
+        scene = CollisionScene(one, BLOCK)
+        found = {tuple(scene._bodies[i].name for i in (p.a, p.b)): (p.margin, p.off_contact) for p in scene._pairs}
+        shaped = {body.name for body in scene._bodies}
+        assert found == {pair: told for pair, told in (wanted | ground).items() if shaped >= set(pair)}
+        assert shaped >= {"base", "column", "upper arm", "forearm", "hand", "wheel", *carried}
+
+
 def test_a_forearm_driven_into_the_wheel_is_told(cell, scene):
     """The wrist centre put at the wheel: on the way there something of the arm comes within the margin."""
     T = np.eye(4)
@@ -134,6 +179,17 @@ def test_a_larger_blade_is_nowhere_farther(cell, scene):
     small, _ = scene.clearances(q, in_contact=False)
     large, _ = larger.clearances(q, in_contact=False)
     assert (large <= small + 1e-6).all() and (large < small - 1e-4).any()
+
+
+def test_off_the_wheel_blade_and_holder_count_and_nothing_else(cell):
+    """Against the distances of these two pairs alone, at postures of the arm."""
+    scene, alone = CollisionScene(cell, BLOCK), CollisionScene(cell, BLOCK)
+    both = [{"blade", "wheel"}, {"holder", "wheel"}]
+    alone._pairs = [p for p in alone._pairs if {alone._bodies[p.a].name, alone._bodies[p.b].name} in both]
+    q = np.random.default_rng(3).uniform(cell.robot.q_min, cell.robot.q_max, (60, 6))
+    wanted, names = alone.clearances(q, in_contact=False)
+    np.testing.assert_allclose(scene.off_wheel(forward(cell.robot, q) @ cell.workpiece.T_flange_blade), wanted, atol=1e-6)
+    assert {one for one, _ in names} == {"blade", "holder"}
 
 
 def test_axes_of_a_stack_are_judged_one_by_one(scene):

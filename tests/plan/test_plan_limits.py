@@ -509,15 +509,17 @@ def test_straight_motions_that_leave_the_plan_are_refused(cell, tmp_path, monkey
     motion = invented_motion.motion()
     execution = invented_motion.checked(invented_motion.written(tmp_path, "lin")[1])
 
-    def off(turn):
+    def off(turn, places=(0, 1, 2)):
         segments = []
         for segment in motion.segments:
             path = deepcopy(segment.trajectory.path)
-            path.c = path.c + turn * (np.arange(len(path.c)) == len(path.c) - 1)[:, None, None] * np.eye(6)[3]
+            last = (np.arange(len(path.c)) == len(path.c) - 1)[:, None, None]
+            path.c = path.c + turn * (segment.place in places) * last * np.eye(6)[3]
             segments.append(replace(segment, trajectory=replace(segment.trajectory, path=path)))
         return readback._chained(cell, replace(motion, segments=segments), execution)[1]
 
     first = off(0.9 * rules.STRAY)
+    assert [off(0.9 * rules.STRAY, (place,)) for place in (0, 1)] == pytest.approx([first, first], rel=0.02)
     turn = 0.9 * rules.STRAY + (rules.STRAY - first)
     assert off(turn - 0.03 * rules.STRAY) == pytest.approx(0.97 * rules.STRAY, rel=0.02)
     with pytest.raises(Infeasible, match="the straight motions read back leave the plan; nothing is written"):

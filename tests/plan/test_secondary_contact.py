@@ -201,6 +201,42 @@ def test_the_planned_overlap_is_taken_off_along_the_width_too(cell):
     assert found.depth == pytest.approx(0.8e-3, abs=1e-9)
 
 
+@pytest.mark.parametrize(("angle", "lateral"), [(1.0, 6e-3), (-1.0, 6e-3), (1.0, -5e-3)])
+def test_the_planned_overlap_is_that_of_the_tilted_and_twisted_quadratic_there(cell, angle, lateral):
+    """2 mm deep, beside a contact 2 mm off the wheel's middle; on either side of it along the belt and along the axis."""
+    wheel, T = cell.wheel, on_wheel(cell, delta=3e-3)
+    T[:3, 3] += 2e-3 * wheel.axis
+    p = buried(cell, T, 2e-3, angle, lateral)
+    (kxx, kyy, kxy), (tx, ty) = (0.5, 30.0, 2.0), (4e-3, -0.03)
+    x, y = (wheel.radius - 2e-3) * np.sin(angle), lateral - 2e-3
+    planned = 1.5e-3 - tx * x - ty * y - 0.5 * (kxx * x**2 + 2 * kxy * x * y + kyy * y**2)
+    shape = np.array([[kxx, kyy, kxy]]), np.array([[tx, ty]])
+    found = find_secondary_contact(cell, p[None], T[None], CONTACT[None], *shape, np.array([1.5e-3]))
+    assert planned > 3e-4 and found.depth == pytest.approx(2e-3 - planned, abs=1e-8) and found.depth > 3e-4
+    assert (found.distance, found.lateral) == pytest.approx((np.hypot(x, y), lateral))
+
+
+def test_just_beyond_what_the_direct_contact_sees_and_at_the_wheel_s_flank_a_touch_is_found(cell):
+    T, half = on_wheel(cell, delta=2e-4), 0.5 * cell.wheel.width
+    for seen in (0.89, 0.91):
+        p = buried(cell, T, 5e-4, 2 * np.arcsin(0.5 * seen * REACH / (cell.wheel.radius - 3.5e-4)))
+        assert np.linalg.norm(p - CONTACT) == pytest.approx(seen * REACH, rel=1e-3)
+        assert deepest(cell, p[None]).depth == pytest.approx(0.0 if seen < 0.9 else 5e-4, abs=1e-9)
+    assert deepest(cell, buried(cell, T, 1.5e-4, 1.0, lateral=0.95 * half)[None]).depth == pytest.approx(1.5e-4, abs=1e-9)
+
+
+def test_of_several_waypoints_the_deepest_is_told_and_each_has_its_own(cell):
+    deep = on_wheel(cell, delta=2e-4)
+    poses = [deep.copy() for _ in range(3)]
+    p = buried(cell, deep, 7e-4, 1.0)
+    out = (cell.wheel.centre - deep[:3, :3] @ p - deep[:3, 3]) / (cell.wheel.radius - 7e-4)
+    for pose, less in zip(poses, (3e-4, 0.0, 5e-4), strict=True):
+        pose[:3, 3] -= less * out
+    found = deepest(cell, p[None], poses=np.stack(poses))
+    assert found.index == 1 and found.depth == pytest.approx(7e-4, abs=1e-8)
+    assert found.depths == pytest.approx([4e-4, 7e-4, 2e-4], abs=1e-6)
+
+
 def test_there_is_no_blade_in_the_bay_of_a_hollow_edge(cell):
     """Long triangles close the outline of the cloud; taken for surface they were false contact beside a blade's corner."""
     whole = bar()
