@@ -286,7 +286,7 @@ def _safe(answer: Answer, out: Path) -> str:
         "ambiguous": f"{out / 'corrected_cell.toml'} holds the likeliest; measure what the report asks for before relying on it",
         "partly": f"{out / 'corrected_cell.toml'} holds what is known",
         "unexplained": "Do not rely on the believed cell there",
-        "no_gap": "The believed cell stands",
+        "no_gap": f"Fitted to these data the believed cell stands: {out / 'corrected_cell.toml'}",
     }[told_as(answer.diagnosis)]
 
 

@@ -280,7 +280,9 @@ def problem_of(
     """The problem of a log that is the first of a setup; pressed (n,): rows that only contact explains, as the readings say."""
     # What may be out of step by now is sought anew: beside a wrong train the true one is two.
     stated = [e.active for e in cell.effects if not e.active.falls_out_of_step]
-    effects, cell = [*stated, *_own_friction(cell)], replace(cell, effects=())
+    held = 0.0 if cell.flange is None else cell.flange.friction
+    own_friction = [effect_of({"effect": FRICTION.name, "N": held}).active] if held else []
+    effects, cell = [*stated, *own_friction], replace(cell, effects=())
     believed = contact_prior(cell, arm)
     known, theta = log_conditions(cell, log), believed.mean[:M]
     given = tuple(a for a in effects if known.given.issuperset(a.effect.needs))
@@ -288,12 +290,6 @@ def problem_of(
     pressed = pressed_rows(setup.model, log) if pressed is None else pressed
     scene = LogScene(cell, setup.model, setup.rows[0], known, own, theta, given, pressed)
     return ForceProblem(log, scene, believed, setup.notices)
-
-
-def _own_friction(cell: Cell) -> list[Active]:
-    """What the cell states of its flange's friction, as an effect."""
-    held = 0.0 if cell.flange is None else cell.flange.friction
-    return [effect_of({"effect": FRICTION.name, "N": held}).active] if held else []
 
 
 def surroundings(problem: ForceProblem) -> Surroundings:

@@ -223,7 +223,10 @@ def likely_trains(problem: ForceProblem, fit: EffectFit) -> SpliceTrains:
         return SpliceTrains((), round(_as_many(sharpness, max(2.0 * np.log(_as_many(sharpness, 4 * np.pi)), 1.0))))
     if not (c.belt[log.contact] != 0).any() or not len(steps) or np.median(steps) <= 0:  # a belt that stands knocks nowhere
         return SpliceTrains((), 1)
-    y = _scores(problem, fit)
+    mask = problem.log.contact * (problem.scene.conditions.belt != 0)
+    y = (
+        fit.whiteners[0].back(fit.residual[: len(mask), None])[:, 0] * mask
+    )  # what a train in the normal reading is multiplied with
     size = _sizes(problem, fit)
     found = list[tuple[float, Scanned, float]]()
     clocks = [(0.0, c.time)] + ([(1.0, c.clock)] if "clock_s" in c.given and len(np.unique(c.run)) > 1 else [])
@@ -249,12 +252,6 @@ def _as_many(sharpness: float, gain: float) -> float:
     moved by x lengths, or with a length exp(x) times as long, keeps 1 - x^2 / 2 of the gain). sharpness: standard deviation of
     the readings' times over the length's square, s."""
     return (RATES[1] - RATES[0]) * float(np.log(LENGTHS[1] / LENGTHS[0])) * sharpness * (gain / (4 * np.pi)) ** 1.5
-
-
-def _scores(problem: ForceProblem, fit: EffectFit) -> Array:
-    """What a train in the normal reading is multiplied with (n,)."""
-    mask = problem.log.contact * (problem.scene.conditions.belt != 0)
-    return np.asarray(fit.whiteners[0].back(fit.residual[: len(mask), None])[:, 0] * mask)
 
 
 def _sizes(problem: ForceProblem, fit: EffectFit) -> tuple[Array, Array]:

@@ -114,12 +114,9 @@ def _of_rows(channel: Channel) -> Remaining:
 
 
 def kinds_beyond(channel: Channel, held: Sequence[HeldOut], sealed: Any) -> tuple[str, ...]:
-    """Kinds of new data of which most of the conditions `sealed` are, by all names that folds have for them."""
-    return _with_same_readings(held, _beyond_measured(channel, sealed))
-
-
-def _with_same_readings(held: Sequence[HeldOut], kinds: Sequence[str]) -> tuple[str, ...]:
-    """`kinds` and those that the same left-out readings stand for: of these one alone has a promise."""
+    """Kinds of new data of which most of the conditions `sealed` are, and those that the same left-out readings stand for: of
+    these one alone has a promise."""
+    kinds = _beyond_measured(channel, sealed)
     same = {h.fold.held.tobytes() for h in held if fold_kind(h) in kinds}
     return tuple(dict.fromkeys([*kinds, *(fold_kind(h) for h in held if h.fold.held.tobytes() in same)]))
 
@@ -232,8 +229,10 @@ def anticipated(
         groups = [_group(before, models, asked.take(asked.payload == k)) for k in np.unique(asked.payload)]
     else:
         readings, groups = _later(after.readings), []
+        T = after.readings.temperature
+        warmths = [None] if T is None or np.ptp(T) < LEAST_WARMTH else [float(t) for t in np.quantile(T, LATER_WARMTHS)]
         for k in range(len(readings.payloads)):
-            for warmth in _warmths(after.readings):
+            for warmth in warmths:
                 new = replace(readings, payload=np.full(len(readings), k, np.int64))
                 new = new if warmth is None else replace(new, temperature=np.full(len(readings), warmth))
                 groups.append(_group(before, models, new))
@@ -260,12 +259,6 @@ def _placed(channel: TrackerChannel, new: Readings) -> Array:
     """Where a channel's fit predicts the reflectors of readings `new`, (n, 3) m."""
     task = replace(channel.task, campaign=replace(channel.task.campaign, readings=new))
     return task.points(channel.fit.state, channel.fit.active)
-
-
-def _warmths(readings: Readings) -> list[float | None]:
-    """Temperatures deg C of new readings; None: as measured, or not."""
-    T = readings.temperature
-    return [None] if T is None or np.ptp(T) < LEAST_WARMTH else [float(t) for t in np.quantile(T, LATER_WARMTHS)]
 
 
 def _later(readings: Readings) -> Readings:

@@ -5,11 +5,8 @@ end, mean over its coefficients) has the detectability t^2 |M C|^2 / m; it is na
 `ocp.diagnose.engine.evidence` says, for this many variants and against the background of a good machine.
 """
 
-import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
-from itertools import zip_longest
 from pathlib import Path
 
 import numpy as np
@@ -27,6 +24,7 @@ from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.effects.catalogue import library
 from ocp.effects.effect import Effect, Parameter, Scanned
 from ocp.model.cell import TrackerSetup, read_cell, read_tracker_setup
+from ocp.shell.text_table import table_lines
 from robots.csv_table import columns_named
 from robots.errors import BadInput
 from robots.pose import Array
@@ -37,7 +35,6 @@ MOST_SCANS = 24  # variants looked at; the median of them is told
 FORCE = "force"  # the channel of a planned log
 FREE_LIMIT = 1e-9  # lambda at the upper end below which nothing shows
 NOT = "cannot be seen"
-NARROWEST = 12  # characters of a column
 
 
 @dataclass(frozen=True)
@@ -178,8 +175,7 @@ def design_table(known: Sequence[Effect], columns: Sequence[Column], notes: Sequ
             mine = [x for x in c.lines if x.effect.name == effect.name]
             cells.append(_seen(mine, p.high) if mine else c.elsewhere)
         rows.append((effect.name, f"{p.key} {p.low:g}..{p.high:g}", *cells))
-    widths = [max(*(len(row[k]) for row in rows[1:]), NARROWEST) for k in range(len(rows[0]))]
-    out = [*_wrapped_head(rows[0], widths), *(_row(row, widths) for row in rows[1:])]
+    out = table_lines(rows)
     for k, c in enumerate(columns, start=2):
         hidden = [row[0] for row in rows[1:] if row[k] == NOT]
         if c.what and hidden:
@@ -206,16 +202,6 @@ def _seen(lines: Sequence[DesignLine], high: float) -> str:
     at = [str(j) for j in hidden if j]
     blind = (["not common"] if 0 in hidden else []) + ([f"not at joint {', '.join(at)}"] if at else [])
     return f"{words} ({'; '.join(blind)})" if blind else words
-
-
-def _wrapped_head(head: Sequence[str], widths: Sequence[int]) -> list[str]:
-    """The head over as many lines as its cells need."""
-    wrap = partial(textwrap.wrap, break_long_words=False, break_on_hyphens=False)
-    return [_row(line, widths) for line in zip_longest(*map(wrap, head, widths), fillvalue="")]
-
-
-def _row(cells: Sequence[str], widths: Sequence[int]) -> str:
-    return "  ".join(f"{cell:<{w}}" for cell, w in zip(cells, widths, strict=True)).rstrip()
 
 
 def read_planned_log(path: Path) -> ForceLog:

@@ -52,8 +52,7 @@ def _as_seen(before: Channel, written: tuple[Active, ...], patches: tuple[Active
         return after
     from ocp.diagnose.force.channel import ForceChannel  # blade and contact: only for those who measured force
 
-    assert isinstance(after, ForceChannel)
-    if after.log.ft is None:
+    if not isinstance(after, ForceChannel) or after.log.ft is None:
         return after
     with suppress(Infeasible):  # no fit with it comes to rest
         beside = before.with_active((*written, *(read_beside(one) for one in patches)))

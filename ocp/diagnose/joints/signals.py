@@ -84,7 +84,8 @@ def signals_of(log: JointLog, robot: Robot, payload: Hanging, like: Signals | No
     refuse_torque_unit(log, weight_torques(robot, log.q, payload.mass, payload.com))
     load = -inverse_dynamics(robot, payload.mass, payload.com, log.q, qd, qdd)
     tau = np.where(measured, -_smoothed(log, piece, _filled(log)), load)
-    rows = _kept(log)
+    count = int(np.isfinite(log.link[:, [j - 1 for j in log.joints]]).sum())
+    rows = np.arange(0, len(log), max(1, int(np.ceil(count / MOST))), dtype=np.int64)  # that `MOST` readings are left
     viscous, dry, pushed = (_smoothed(log, piece, of)[rows] for of in (qd, rubbing, qdd))
     moves = qd[rows], np.where(measured, pushed, qdd[rows]), direction[rows], tau[rows], viscous, dry
     found = Signals(log.take(rows), *moves, measured, piece[rows], splines, _instant_noise(log))
@@ -191,12 +192,6 @@ def _over(values: Array, time: Array, window: float) -> Array:
         return values
     even = np.linspace(time[0], time[-1], len(time))
     return np.asarray(CubicSpline(even, savgol_filter(CubicSpline(time, values)(even), width, 3, axis=0))(time))
-
-
-def _kept(log: JointLog) -> Index:
-    """Every so manieth row, so that `MOST` readings are left."""
-    count = int(np.isfinite(log.link[:, [j - 1 for j in log.joints]]).sum())
-    return np.arange(0, len(log), max(1, int(np.ceil(count / MOST))), dtype=np.int64)
 
 
 BLOCK = 400  # instants whitened together; the wander is forgotten at their border

@@ -156,7 +156,7 @@ def verdict_sentence(answer: Answer) -> str:
     if told_as(d) == "unexplained":
         chance = f"the chance that it is one outside is {percent(d.p_unknown)}"
         where = f"{_place(d.location)}{_ripple(answer)}{_size(answer)}"
-        return f"It lies in {where}. No effect of the catalogue fits; {chance}."
+        return f"It lies in {where}. No effect of the catalogue is likely enough; {chance}."
     best = d.explanations[0]
     what = _capital(listed([_or_what_it_may_be(name, d.classes) for name in best.names]))
     verb = "explain" if len(best.names) > 1 else "explains"

@@ -213,10 +213,9 @@ class TrackerChannel:
 
     def held_out(self, fold: Fold, active: tuple[Active, ...]) -> HeldOut | None:
         """Judge `active` on a fold; what the held readings alone measured is beyond a patch's range."""
-        shown, rest = [a for a in active if not self.blind(a.effect)], ~np.asarray(fold.held, bool)
-        for k, one in enumerate(shown):
-            if is_patch(one.effect):
-                shown[k] = within(one, measured_ranges(self.conditions, one.scanned.get("about", (0.0,))[0], rest))
+        c, rest, shown = self.conditions, ~np.asarray(fold.held, bool), [a for a in active if not self.blind(a.effect)]
+        middles = [a.scanned.get("about", (0.0,))[0] for a in shown]
+        shown = [within(a, measured_ranges(c, m, rest)) if is_patch(a.effect) else a for a, m in zip(shown, middles, strict=True)]
         return held_out_readings(self.task, self.fit, fold, shown, self.seen, self._bare)
 
     @cached_property
