@@ -3,7 +3,8 @@
 `python benchmarks/diagnosis_real.py [ur5] [ur10] [kr300] [--splits N] [--only PART]` from the repository root with PYTHONPATH=.
 Parts of a tracker campaign: answer (what the command says), terms (named terms on readings left out), selected (what holds where
 conditions are left out), weight (which way it acts), angles (free curves of the joints' own angles), held (before and after on
-random splits), days (of the UR10: names learnt on one day, on the others).
+random splits), patched (what is promised of a third that is left out, and what came), days (of the UR10: names learnt on one day,
+on the others).
 """
 
 import argparse
@@ -16,18 +17,18 @@ from pathlib import Path
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from ocp.diagnose.answering import answer_of, tracker_channel
+from ocp.diagnose.answering import answer_of, predict_sealed, tracker_channel
 from ocp.diagnose.dataset import DataSet, read_data_set, read_sealed
 from ocp.diagnose.engine.channel_system import SCALE, HeldOut
 from ocp.diagnose.engine.evidence import stack
 from ocp.diagnose.engine.findings import Options
 from ocp.diagnose.engine.linearisation import candidates
 from ocp.diagnose.engine.selection import SelectedEffects, select_on_held_out
-from ocp.diagnose.report.verdict_sentence import diagnosis_headline
+from ocp.diagnose.report.verdict_sentence import diagnosis_headline, shrinkage_words
 from ocp.diagnose.rules import MOST_SEARCHED
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.diagnose.verdict.diagnosis import diagnose_channels
-from ocp.diagnose.verdict.shrinkage import ANOTHER_DAY
+from ocp.diagnose.verdict.shrinkage import ANOTHER_DAY, realised
 from ocp.effects.catalogue import library
 from ocp.effects.effect import Active
 from ocp.shell.progress import Phases
@@ -266,12 +267,32 @@ def held_part(campaign: PublishedCampaign, count: int, folder: Path) -> None:
         print(f"| {label} | {np.mean(errors):.4f} | {max(errors):.4f} |")
 
 
+def patched_part(campaign: PublishedCampaign, count: int, folder: Path) -> None:
+    """What the command promises of a third that is left out, and what came: rms mm of the baseline, with the written names and
+    with the patches; noise out of the shares."""
+    point = 1e-3 * np.stack([campaign.columns[f"{a}_mm"] for a in "xyz"], axis=1)
+    print("| split | before | names | patches | promised | came | rms z |\n" + "|---" * 7 + "|")
+    for seed in range(count):
+        held = held_rows(len(campaign), 1.0 / 3.0, seed)
+        data_set(campaign, folder / f"third{seed}", held)
+        answer = answer_of(folder / f"third{seed}", Phases())
+        told, noise = predict_sealed(answer)["tracker"], 1e-3 * answer.gaps[0].noise_floor
+        last, sigma = (told.corrected, told.sigma) if told.patched is None else (told.patched, told.patched_sigma)
+        squares = [float(np.mean(np.sum((p - point[held]) ** 2, axis=1))) for p in (told.baseline, told.corrected, last)]
+        rms = " | ".join(f"{1e3 * np.sqrt(one):.4f}" for one in squares)
+        promise = answer.gaps[0].shrinkage if answer.patch is None else answer.patch.shrinkage
+        z = np.sqrt(np.mean((last - point[held]) ** 2 / (sigma**2 + noise**2 / 3.0)))
+        came = realised(squares[0], squares[2], noise**2)
+        print(f"| {seed} | {rms} | {shrinkage_words(promise) if promise else ''} | {came or 0.0:.2f} | {z:.2f} |", flush=True)
+
+
 def days_part(campaign: PublishedCampaign, path: Path, folder: Path) -> None:
     """Names learnt on one day of the grid and what came on each other day, the tracker placed by that day's own readings: rms mm
-    before and after, and the share g of what the names explain that is there again."""
+    before and after, and the share g of what the names explain that is there again; rms mm with the patches too, where there are
+    some."""
     day = np.array([int(line[6:8]) for line in path.read_text(encoding="utf-8").splitlines()[1:]])
     points = 1e-3 * np.stack([campaign.columns[f"{a}_mm"] for a in "xyz"], axis=1)
-    print("| learnt on | names | promised | on day | before | after | g |\n" + "|---" * 7 + "|")
+    print("| learnt on | names | promised | on day | before | after | g | patches |\n" + "|---" * 8 + "|")
     for first in (14, 15, 16, 17):
         held = np.flatnonzero(day != first)
         data_set(campaign, folder / f"day{first}", held)
@@ -279,15 +300,17 @@ def days_part(campaign: PublishedCampaign, path: Path, folder: Path) -> None:
         told, sealed = answer.gaps[0].promise.get(ANOTHER_DAY), read_sealed(answer.data, "tracker")
         predicted = answer.diagnosis.channels[0].predict(sealed, answer.diagnosis.active)
         names = " ".join(f"{a.effect.name}:{a.joint}" for a in answer.diagnosis.active) or "none"
+        made = answer.patch and answer.patch.channel
+        last = predicted.corrected if made is None else made.predict(sealed, made.active).corrected
         for other in sorted(set(day[held])):
             rows = held[day[held] == other]
-            parts = (points[held] - predicted.baseline, points[held] - predicted.corrected)
-            before, after = (placed(points[rows], part[day[held] == other]) for part in parts)
+            parts = (points[held] - one for one in (predicted.baseline, predicted.corrected, last))
+            before, after, most = (placed(points[rows], part[day[held] == other]) for part in parts)
             moved = before - after
             share = float(np.sum(moved * before) / max(np.sum(moved**2), 1e-30))
-            rms = [f"{1e3 * np.sqrt(np.mean(np.sum(e**2, axis=1))):.3f}" for e in (before, after)]
+            rms = [f"{1e3 * np.sqrt(np.mean(np.sum(e**2, axis=1))):.3f}" for e in (before, after, most)]
             promised = "" if told is None else f"{told.predicted:.2f} ({told.low:.2f} to {told.high:.2f})"
-            print(f"| {first} | {names} | {promised} | {other} | {rms[0]} | {rms[1]} | {share:.2f} |", flush=True)
+            print(f"| {first} | {names} | {promised} | {other} | {rms[0]} | {rms[1]} | {share:.2f} | {rms[2]} |", flush=True)
 
 
 def placed(points: Array, errors: Array) -> Array:
@@ -309,6 +332,7 @@ def tracker(name: str, options: argparse.Namespace, folder: Path) -> None:
         "weight": lambda: weight_part(channel),
         "angles": lambda: angles_part(channel, options.splits),
         "held": lambda: held_part(campaign, options.splits, folder / "splits" / name),
+        "patched": lambda: patched_part(campaign, options.splits, folder / "thirds" / name),
         "days": lambda: None if name != "ur10" else days_part(campaign, options.data / FILES[name], folder),
     }
     for part, job in parts.items():
@@ -322,7 +346,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("robots", nargs="*", default=["ur5", "ur10", "kr300"])
     parser.add_argument("--splits", type=int, default=5)
-    parser.add_argument("--only", choices=("answer", "terms", "selected", "weight", "angles", "held", "days"))
+    parser.add_argument("--only", choices=("answer", "terms", "selected", "weight", "angles", "held", "patched", "days"))
     parser.add_argument("--difference", choices=(ACHIEVED, TARGET), default=ACHIEVED, help="what x_dif of the UR5 is")
     parser.add_argument("--data", type=Path, default=DATA)
     options = parser.parse_args()

@@ -266,7 +266,8 @@ MOST_PATCHES = 6
 """[patches] For one gap. Reason: a patch a joint; six take a UR5's readings that were left out to 0.063 mm, three to 0.066."""
 
 NEAR = 0.05
-"""[-] Of a condition's whole range. Guards: where a patch ends. Reason: less than any smooth feature's length."""
+"""[-] Of a condition's whole range; an end twice as far from the next readings is left out. Guards: where a patch ends. Reason:
+less than any smooth feature's length."""
 
 NEAR_SHARE = 0.01
 """[-] Of all readings: with fewer near an end of a range nothing was measured there. Guards: as NEAR. Reason: even campaigns

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from ocp.diagnose.engine.beam import Search
-from ocp.diagnose.engine.channel_system import Sealed
+from ocp.diagnose.engine.channel_system import Fold, Sealed
 from ocp.diagnose.engine.findings import Alternative, Name, Options
-from ocp.diagnose.engine.kernels import conditions_by_name, kernels
+from ocp.diagnose.engine.kernels import conditions_by_name, kernels, measured_ranges
 from ocp.diagnose.engine.linearisation import linearised
 from ocp.diagnose.foresee.patched import beside_unknown, patched, unnamed, with_patch
 from ocp.diagnose.tracker.channel import TrackerChannel
@@ -19,7 +19,7 @@ from ocp.diagnose.tracker.refit import believed_baseline
 from ocp.diagnose.verdict.answer import Patched, Remaining
 from ocp.diagnose.verdict.diagnosis import diagnose_channels
 from ocp.diagnose.verdict.patching import as_patch, patches_of, seen_by
-from ocp.diagnose.verdict.shrinkage import Shrinkage
+from ocp.diagnose.verdict.shrinkage import ANOTHER_DAY, Shrinkage
 from ocp.effects.cell_effects import patch_effect_of
 from ocp.effects.engine.readings import displaced, motion
 from ocp.effects.engine.symbolic import planned_arm_context
@@ -109,8 +109,9 @@ def test_beyond_what_was_measured_a_patch_is_written_where_left_out_readings_say
     told = {} if later is None else {"later": Shrinkage(later, later, later)}
     fakes = {
         "errors_of_folds": lambda *_: {"tracker": ()},
-        "promised_by_kind": lambda _: told,
+        "promise_by_kind": lambda *_: told,
         "kinds_beyond": lambda *_: ("later",),
+        "told_by_readings": lambda _: False,
     }
     for name, fake in fakes.items():
         monkeypatch.setattr(f"ocp.diagnose.foresee.patched.{name}", fake)
@@ -118,6 +119,64 @@ def test_beyond_what_was_measured_a_patch_is_written_where_left_out_readings_say
     for asked in (True, False):
         monkeypatch.setattr("ocp.diagnose.foresee.patched.anticipated_shrinkage", lambda *_, asked=asked: (good, asked))
         assert (patched(found, None, object()) is not None) == (written or not asked)
+
+
+@pytest.mark.parametrize(
+    ("day", "region", "written"), [((0.3, 0.1), 0.2, True), ((0.3, 0.1), -0.1, False), ((0.3, -0.1), 0.2, False)]
+)
+def test_where_left_out_readings_promise_every_kind_of_them_has_to(day, region, written, monkeypatch):
+    """On an arm that misses far more than noise: evidence, which chose the kernels, is worth little there."""
+    good = Shrinkage(0.7, 0.3, 0.8)
+    kinds = {ANOTHER_DAY: Shrinkage(day[0], day[1], 0.5), "another region": Shrinkage(region, -0.5, 0.5)}
+    fakes = {
+        "errors_of_folds": lambda *_: {"tracker": ()},
+        "promise_by_kind": lambda *_: kinds,
+        "told_by_readings": lambda _: True,
+        "anticipated_shrinkage": lambda *_: (good, False),
+    }
+    for name, fake in fakes.items():
+        monkeypatch.setattr(f"ocp.diagnose.foresee.patched.{name}", fake)
+    found = SimpleNamespace(after=SimpleNamespace(name="tracker", active=()), others=((), ()))
+    assert (patched(found, None) is not None) == written
+
+
+def test_an_arm_that_misses_far_more_than_noise_is_patched_as_well(monkeypatch):
+    """Joint 3 follows joint 2 on an arm whose joints are off by ten times as much as usual, at random: what left-out readings
+    promise comes on new postures."""
+    monkeypatch.setattr("ocp.diagnose.foresee.anticipated.TrackerChannel.restless", lambda *_: True)
+    d, _, points = findings_of("coupled")
+    found = patched(unnamed(d, ()), None)
+    assert found is not None and not found.asked
+    new, truth = new_readings(5, points)
+    told = with_patch(found.channel.predict(new, ()), found, new)
+    came = 1.0 - rms(told.patched - truth) / rms(told.baseline - truth)
+    assert found.shrinkage.low - 0.1 < came < found.shrinkage.high + 0.1
+
+
+def test_a_patch_ends_where_few_readings_lie(clean):
+    """A few readings of another session lie elsewhere in a joint's range."""
+    c = clean.conditions
+    n = len(c.q)
+    far = replace(c, q=c.q.copy())
+    far.q[:, 0] = np.linspace(-5.0, -3.0, n)
+    far.q[0, 0] = 5.0
+    whole = measured_ranges(far, 0.0)
+    assert whole["q1"] == pytest.approx((far.q[1, 0], -3.0)) and whole["q2"] == (c.q[:, 1].min(), c.q[:, 1].max())
+    far.q[0, 0] = -2.9
+    assert measured_ranges(far, 0.0)["q1"][1] == -2.9  # one reading somewhat farther than the others is an end like any
+    far.q[0, 0] = -5.0
+    assert measured_ranges(far, 0.0, np.arange(n) < n // 2)["q1"][1] == pytest.approx(far.q[n // 2 - 1, 0])
+
+
+def test_a_fold_is_predicted_by_a_patch_of_what_was_left(clean, monkeypatch):
+    """What the held readings alone measured is beyond its range there: that is what new data beyond it will have."""
+    c, seen = clean.conditions, []
+    one = make_patch("joint", "q2", 3, ["wave 1 q2"], {"q2": (float(c.q[:, 1].min()), float(c.q[:, 1].max()))}, 1e-4)
+    monkeypatch.setattr("ocp.diagnose.tracker.channel.held_out_readings", lambda *args: seen.append(args[3]))
+    low = c.q[:, 1] < np.median(c.q[:, 1])
+    clean.held_out(Fold("joint 2 above", "joint range", ~low), (one,))
+    ((narrow,),) = seen
+    assert narrow.scanned["range"][0][2] == pytest.approx(c.q[low, 1].max()) and narrow.key == one.key
 
 
 @pytest.mark.parametrize(("joints", "sigma", "square"), [(1e-3, 2e-5, 8e-5**2 / 3), (1e-3, 6e-5, 6e-5**2), (1e-6, 2e-5, 2e-5**2)])

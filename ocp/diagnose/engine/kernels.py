@@ -340,18 +340,18 @@ def conditions_by_name(c: ReadingConditions, reference: float = 0.0, middle: flo
 
 
 def measured_ranges(c: ReadingConditions, middle: float, rows: Mask | slice = slice(None)) -> dict[str, tuple[float, float]]:
-    """Ranges of conditions in some rows of readings, as patches call them, ends that few readings lie near left out; middle
-    azimuth rad. What settles is gone after a wait longer than any that was measured."""
+    """Ranges of conditions in some rows of readings, as patches call them, far ends that few readings lie near left out;
+    middle azimuth rad. What settles is gone after a wait longer than any that was measured."""
     found = {n: _dense(np.sort(v[rows])) for n, v in conditions_by_name(c, c.reference or 0.0, middle).items()}
     return {n: (0.0 if n.startswith("settling") else low, high) for n, (low, high) in found.items()}
 
 
-def _dense(values: Array) -> tuple[float, float]:
-    """The least and the most of values (n,) in order that a share `rules.NEAR_SHARE` of all lies near."""
+def _dense(values: Array) -> list[float]:
+    """The ends of values (n,) in order; of what a share `rules.NEAR_SHARE` of all lies near, where they are far beyond that."""
     near = rules.NEAR * (values[-1] - values[0])
     count = np.searchsorted(values, values + near, "right") - np.searchsorted(values, values - near)
-    kept = values[count >= rules.NEAR_SHARE * len(values)]
-    return float(kept[0]), float(kept[-1])
+    kept, ends = values[count >= rules.NEAR_SHARE * len(values)][[0, -1]], values[[0, -1]]
+    return [float(end) for end in np.where(np.abs(kept - ends) > 2.0 * near, kept, ends)]
 
 
 def smooth(values: Array, count: int) -> Array:
