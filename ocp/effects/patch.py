@@ -269,8 +269,9 @@ def make_patch(
     return Active(effect, joint, np.zeros(count), scanned, np.eye(count) * size**2)
 
 
-def within(patch: Active, measured: Mapping[str, tuple[float, float]]) -> Active:
-    """The patch as if no more than these ranges of its conditions had been measured."""
+def within(patch: Active, ranges: Callable[[float], Mapping[str, tuple[float, float]]]) -> Active:
+    """The patch as if no more than these ranges of its conditions had been measured; they are asked for by its middle azimuth."""
+    measured = ranges(patch.scanned.get("about", (0.0,))[0])
     limits = tuple((name, *measured[name]) for name, _, _ in patch.scanned["range"])
     return replace(patch, scanned={**patch.scanned, "range": limits})
 

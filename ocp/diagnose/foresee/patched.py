@@ -75,7 +75,7 @@ def patched(found: Followed, named: Shrinkage | None, sealed: Any = None) -> Pat
     judged = kinds if chosen else kinds_beyond(found.after, held, sealed) if asked else ()
     if any(k in kinds and kinds[k].predicted <= 0.0 for k in judged) or (chosen and kinds[ANOTHER_DAY].low <= 0.0):
         return None
-    return Patched(found.after, promise, found.others[1:], asked)
+    return Patched(found.after, promise, found.others[1:], asked, kinds)
 
 
 def _others(diagnosis: Diagnosis, written: tuple[Active, ...], after: Channel) -> tuple[Alternative, ...]:
@@ -177,6 +177,5 @@ def with_patch(told: Sealed, found: Patched, sealed: Any) -> Sealed:
     open_, inside = beyond(found.channel, found.patches, sealed)
     variance = variance + open_
     variance = variance + max(_stays(found.channel) / main.sigma.shape[1] - float(np.mean(variance)), 0.0)
-    lacking = tuple(one.effect.title for one in found.patches if one.effect.name in main.lacking)
-    told = replace(told, lacking=(*told.lacking, *lacking))
-    return replace(told, patched=main.corrected, patched_sigma=np.sqrt(variance), inside=inside)
+    lacking = (*told.lacking, *(one.effect.title for one in found.patches if one.effect.name in main.lacking))
+    return replace(told, lacking=lacking, patched=main.corrected, patched_sigma=np.sqrt(variance), inside=inside)

@@ -124,6 +124,7 @@ def told_as(d: Diagnosis) -> str:
 def _patch(patch: Patched, beside: bool) -> str:
     """What is corrected without a name, `beside` names or alone, and what that promises."""
     told = f"{shrinkage_words(patch.shrinkage)} of the {patch.channel.name} gap should be gone {there_of(patch.asked)}"
+    told += f", {shrinkage_words(patch.promise[ANOTHER_DAY])} on another day" if patch.promise else ""
     what = "; ".join(formula_of(one) for one in patch.patches)
     alone = "as well" if beside else "alone, and no name"
     return f"With what has no name corrected {alone}, {told}. It explains nothing, and fades outside what was measured: {what}"

@@ -214,8 +214,7 @@ class TrackerChannel:
     def held_out(self, fold: Fold, active: tuple[Active, ...]) -> HeldOut | None:
         """Judge `active` on a fold; what the held readings alone measured is beyond a patch's range."""
         c, rest, shown = self.conditions, ~np.asarray(fold.held, bool), [a for a in active if not self.blind(a.effect)]
-        middles = [a.scanned.get("about", (0.0,))[0] for a in shown]
-        shown = [within(a, measured_ranges(c, m, rest)) if is_patch(a.effect) else a for a, m in zip(shown, middles, strict=True)]
+        shown = [within(a, lambda middle: measured_ranges(c, middle, rest)) if is_patch(a.effect) else a for a in shown]
         return held_out_readings(self.task, self.fit, fold, shown, self.seen, self._bare)
 
     @cached_property

@@ -1,7 +1,7 @@
 """The whole answer to a data set, as the command writes it and the report shows it."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -85,12 +85,14 @@ class Followed:
 @dataclass(frozen=True)
 class Patched:
     """The channel with the written names and the patches; shrinkage that both promise together; others: what may stand in the
-    patches' place, with probabilities; asked: whether it is promised under the conditions that are to be predicted."""
+    patches' place, with probabilities; asked: whether it is promised under the conditions that are to be predicted; promise: by
+    what is new in new data."""
 
     channel: Channel
     shrinkage: Shrinkage
     others: tuple[Alternative, ...]
     asked: bool = False
+    promise: Mapping[str, Shrinkage] = field(default_factory=dict)
 
     @property
     def patches(self) -> tuple[Active, ...]:
