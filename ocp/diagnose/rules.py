@@ -263,7 +263,8 @@ the two it was. Reason: of a warm-up the logarithm of time and the temperature a
 kernel knows (creep_under_load of worlds by other hands, patched over temperature: 60 % promised, -3 and 15 % came)."""
 
 MOST_PATCHES = 6
-"""[patches] For one gap. Reason: a patch a joint; six take a UR5's readings that were left out to 0.063 mm, three to 0.066."""
+"""[patches] For one gap of tracker readings; of a force log half as many. Reason: a patch a joint; six take a UR5's readings that
+were left out to 0.063 mm, three to 0.066; of a log what a third does not hold is no plain function of one or two conditions."""
 
 NEAR = 0.05
 """[-] Of a condition's whole range; an end twice as far from the next readings is left out. Guards: where a patch ends. Reason:

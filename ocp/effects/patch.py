@@ -269,10 +269,20 @@ def make_patch(
     return Active(effect, joint, np.zeros(count), scanned, np.eye(count) * size**2)
 
 
+def dense_ends(values: Array, near: float, share: float) -> list[float]:
+    """The least and the most of values (n,); where these lie far off, of what a `share` of all lies near (of the range)."""
+    values = np.sort(values)
+    width = near * (values[-1] - values[0])
+    count = np.searchsorted(values, values + width, "right") - np.searchsorted(values, values - width)
+    kept, ends = values[count >= share * len(values)][[0, -1]], values[[0, -1]]
+    return [float(end) for end in np.where(np.abs(kept - ends) > 2.0 * width, kept, ends)]
+
+
 def within(patch: Active, ranges: Callable[[float], Mapping[str, tuple[float, float]]]) -> Active:
     """The patch as if no more than these ranges of its conditions had been measured; they are asked for by its middle azimuth."""
     measured = ranges(patch.scanned.get("about", (0.0,))[0])
-    limits = tuple((name, *measured[name]) for name, _, _ in patch.scanned["range"])
+    ends = [(name, max(low, measured[name][0]), min(high, measured[name][1])) for name, low, high in patch.scanned["range"]]
+    limits = tuple((name, low, max(low, high)) for name, low, high in ends)
     return replace(patch, scanned={**patch.scanned, "range": limits})
 
 

@@ -317,9 +317,9 @@ def _impossible(log: ForceLog, fit: ForceFit, verdicts: Sequence[Verdict], parts
     f, left, verdict = fit.figures, [part for part in PARTS if part not in parts], verdicts[-1]
     if verdicts[0].possible:
         return (
-            f"{log.path}: cannot have come from the cell as last known: only much faster wear than before would read so far off "
-            f"what was forecast, and inside the log there is none (chance {verdict.chance:.1g}); the wheel, the blade or the "
-            f"sensor was moved: say so (--changed, of {', '.join(left) or 'nothing more'}), else calibrate "
+            f"{log.path}: cannot have come from the cell as last known: only a wheel that wore or grew much faster reads so far "
+            f"off, and inside the log there is none of it (chance {verdict.chance:.1g}); the wheel, the blade or the sensor was "
+            f"moved: say so (--changed, of {', '.join(left) or 'nothing more'}), else calibrate "
             "anew with a force ladder"
         )
     return (

@@ -6,7 +6,8 @@ from dataclasses import replace
 import numpy as np
 from scipy.special import chdtrc
 
-from robots.calibration.store import Calibration
+from robots.calibration.parameters import BASE_NAMES
+from robots.calibration.store import BENDING, Calibration
 
 FORCE, UPDATE = "force", "update"
 """Of a provenance: by which logs wheel and blade were found, and when they hold."""
@@ -14,14 +15,24 @@ CHANGED = 1e-6  # chance of so unlike parameters, below which the arm itself is 
 SEEN = 1e-9  # of the largest direction of correlations: below, rounding
 
 
+def _shared(found: Calibration, known: Calibration) -> tuple[list[int], list[int]]:
+    """Places in `found` and in `known` of what both have of the arm itself: where the measuring frame stands is no part of it."""
+    names = [name for name in known.names if name in found.names and name not in BASE_NAMES]
+    return [found.names.index(name) for name in names], [known.names.index(name) for name in names]
+
+
 def chance_of_one_arm(found: Calibration, known: Calibration) -> float:
-    """Chance that two calibrations of one arm, from readings of their own, differ in what both have by more than they do."""
-    shared = [name for name in known.names if name in found.names]
-    old, new = ([one.names.index(name) for name in shared] for one in (known, found))
+    """Chance that two calibrations of one arm, from readings of their own, differ in what both have by more than they do; 1 where
+    they have not the same model of it (`method`, bending joints), whose parameters mean something else."""
+    if any(found.provenance.get(key) != known.provenance.get(key) for key in ("method", BENDING)):
+        return 1.0
+    new, old = (np.array(places, np.int64) for places in _shared(found, known))
+    open_ = known.standard_deviation[old] + found.standard_deviation[new] > 0
+    new, old = new[open_], old[open_]
     C = known.covariance[np.ix_(old, old)] + found.covariance[np.ix_(new, new)]
-    sd = np.sqrt(np.maximum(np.diag(C), 1e-300))
+    sd = np.sqrt(np.diag(C))
     size, vector = np.linalg.eigh(C / np.outer(sd, sd))
-    off, seen = vector.T @ ((found.values[new] - known.values[old]) / sd), size > SEEN * max(float(size.max(initial=0.0)), 1e-300)
+    off, seen = vector.T @ ((found.values[new] - known.values[old]) / sd), size > SEEN * float(size.max(initial=0.0))
     return float(chdtrc(max(int(seen.sum()), 1), np.sum(off[seen] ** 2 / size[seen])))
 
 
@@ -34,9 +45,7 @@ def carried_over(found: Calibration, known: Calibration | None) -> Calibration:
     rest = [] if known is None else [i for i, name in enumerate(known.names) if name not in found.names]
     if known is None or not rest:
         return found
-    shared = [name for name in known.names if name in found.names]
-    old = [known.names.index(name) for name in shared]
-    new = [found.names.index(name) for name in shared]
+    new, old = _shared(found, known)
     C, sd = known.covariance, np.maximum(known.standard_deviation[old], 1e-300)
     # Of correlations: a stiffness in N/m beside a metre would take every direction of the metres below the cut.
     slope = C[np.ix_(rest, old)] / sd @ np.linalg.pinv(C[np.ix_(old, old)] / np.outer(sd, sd), rcond=1e-12, hermitian=True) / sd

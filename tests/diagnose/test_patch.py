@@ -23,7 +23,7 @@ from ocp.diagnose.verdict.shrinkage import ANOTHER_DAY, Shrinkage
 from ocp.effects.cell_effects import patch_effect_of
 from ocp.effects.engine.readings import displaced, motion
 from ocp.effects.engine.symbolic import planned_arm_context
-from ocp.effects.patch import feature_factors, lengths_outside, make_patch, patch_of, patch_table
+from ocp.effects.patch import feature_factors, lengths_outside, make_patch, patch_of, patch_table, within
 from robots.calibration.noise import Noise
 from robots.calibration.solver import Campaign
 from robots.kinematics import chain
@@ -140,13 +140,13 @@ def test_where_left_out_readings_promise_every_kind_of_them_has_to(day, region, 
     assert (patched(found, None) is not None) == written
 
 
-def test_an_arm_that_misses_far_more_than_noise_is_patched_as_well(monkeypatch):
-    """Joint 3 follows joint 2 on an arm whose joints are off by ten times as much as usual, at random: what left-out readings
-    promise comes on new postures."""
-    monkeypatch.setattr("ocp.diagnose.foresee.anticipated.TrackerChannel.restless", lambda *_: True)
+def test_left_out_readings_promise_what_comes_too(monkeypatch):
+    """Joint 3 follows joint 2: what left-out readings promise, as they do of an arm that misses far more than noise, comes on new
+    postures."""
     d, _, points = findings_of("coupled")
+    monkeypatch.setattr("ocp.diagnose.foresee.anticipated.TrackerChannel.restless", lambda *_: True)
     found = patched(unnamed(d, ()), None)
-    assert found is not None and not found.asked
+    assert found is not None and not found.asked and ANOTHER_DAY in found.promise
     new, truth = new_readings(5, points)
     told = with_patch(found.channel.predict(new, ()), found, new)
     came = 1.0 - rms(told.patched - truth) / rms(told.baseline - truth)
@@ -177,6 +177,7 @@ def test_a_fold_is_predicted_by_a_patch_of_what_was_left(clean, monkeypatch):
     clean.held_out(Fold("joint 2 above", "joint range", ~low), (one,))
     ((narrow,),) = seen
     assert narrow.scanned["range"][0][2] == pytest.approx(c.q[low, 1].max()) and narrow.key == one.key
+    assert within(one, lambda _: {"q2": (-9.0, 9.0)}).scanned["range"] == one.scanned["range"]  # never wider
 
 
 @pytest.mark.parametrize(("joints", "sigma", "square"), [(1e-3, 2e-5, 8e-5**2 / 3), (1e-3, 6e-5, 6e-5**2), (1e-6, 2e-5, 2e-5**2)])

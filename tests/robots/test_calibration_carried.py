@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.special import chdtrc
 
 from robots.calibration.carried import carried_over, chance_of_one_arm
 from robots.calibration.store import Calibration
@@ -43,6 +44,21 @@ def test_a_wheel_stays_less_sure_where_the_arm_itself_is_another():
     rng, count = np.random.default_rng(1), 4000  # of one arm every chance is as likely
     chances = np.array([chance_of_one_arm(replace(new, values=d), old) for d in _drawn(rng, old, new, count)])
     assert np.mean(chances < 0.1) == pytest.approx(0.1, abs=0.02)
+
+
+def test_a_tracker_set_up_elsewhere_is_no_other_arm():
+    """Where the measuring frame stands is no part of it, nor does a wheel go with that; another method's parameters mean
+    something else."""
+    root = np.array([[2e-5, 0.0, 0.0], [1e-5, 1e-5, 0.0], [2e-5, 0.0, 1e-5]])  # theta_offset3, base_x, wheel_x
+    old = Calibration("r", ("theta_offset3", "base_x", "wheel_x"), np.array([1e-3, 3.0, 1.7]), root @ root.T, {"method": "full"})
+    arm = np.diag([4e-10, 1e-10])
+    new = Calibration("r", ("theta_offset3", "base_x"), np.array([1.02e-3, -2.0]), arm, {"method": "full"})
+    assert chance_of_one_arm(new, old) == pytest.approx(chdtrc(1, 0.5))  # 20 urad beside 20 and 20
+    assert carried_over(new, old).values[2] == pytest.approx(1.7 + 2e-5)
+    off = replace(new, values=np.array([2e-3, 3.0]))
+    assert chance_of_one_arm(off, old) < 1e-100 and chance_of_one_arm(replace(off, provenance={"method": "geometry"}), old) == 1.0
+    bare = Calibration("r", ("d1",), np.zeros(1), np.zeros((1, 1)))
+    assert chance_of_one_arm(bare, replace(bare, values=np.ones(1))) == 1.0  # what both take as given
 
 
 def _drawn(rng, old, new, count):

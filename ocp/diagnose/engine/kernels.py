@@ -24,6 +24,7 @@ from ocp.diagnose.engine.channel_system import ReadingConditions
 from ocp.diagnose.rules import FORCE_KERNEL, FRAME_KERNEL, JOINT_KERNEL, LEAST_TORQUE, LEAST_TURN, ORDERS_APART, TILT_KERNEL
 from ocp.effects.context import SETTLING
 from ocp.effects.engine.evaluate import left_of_motion
+from ocp.effects.patch import dense_ends
 from robots.pose import Array, Index, Mask
 
 TILTED = 5  # cosines for each direction of a tilting axis
@@ -340,18 +341,11 @@ def conditions_by_name(c: ReadingConditions, reference: float = 0.0, middle: flo
 
 
 def measured_ranges(c: ReadingConditions, middle: float, rows: Mask | slice = slice(None)) -> dict[str, tuple[float, float]]:
-    """Ranges of conditions in some rows of readings, as patches call them, far ends that few readings lie near left out;
-    middle azimuth rad. What settles is gone after a wait longer than any that was measured."""
-    found = {n: _dense(np.sort(v[rows])) for n, v in conditions_by_name(c, c.reference or 0.0, middle).items()}
+    """Ranges of conditions in some rows of readings, as patches call them, far ends of a joint's that few readings lie near left
+    out; middle azimuth rad. What settles is gone after a wait longer than any that was measured."""
+    named = conditions_by_name(c, c.reference or 0.0, middle).items()
+    found = {n: dense_ends(v[rows], rules.NEAR, rules.NEAR_SHARE * n[-1].isdigit()) for n, v in named}
     return {n: (0.0 if n.startswith("settling") else low, high) for n, (low, high) in found.items()}
-
-
-def _dense(values: Array) -> list[float]:
-    """The ends of values (n,) in order; of what a share `rules.NEAR_SHARE` of all lies near, where they are far beyond that."""
-    near = rules.NEAR * (values[-1] - values[0])
-    count = np.searchsorted(values, values + near, "right") - np.searchsorted(values, values - near)
-    kept, ends = values[count >= rules.NEAR_SHARE * len(values)][[0, -1]], values[[0, -1]]
-    return [float(end) for end in np.where(np.abs(kept - ends) > 2.0 * near, kept, ends)]
 
 
 def smooth(values: Array, count: int) -> Array:

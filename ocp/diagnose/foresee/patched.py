@@ -66,7 +66,7 @@ def patched(found: Followed, named: Shrinkage | None, sealed: Any = None) -> Pat
     of its promise is not above zero; or it is asked for beyond what was measured, and readings left out as far beyond do not say
     that it helps: in the promise the truth goes on as at the edge, which what settles, or warms up anew, does not. Where left-out
     readings promise, evidence, which chose its kernels, is worth little: there it is to help on another day, and whatever kind of
-    condition was left out (ur10_two_series: 11 % promised, another session 7 % worse, and 23 % came)."""
+    condition was left out (a patch of ur10_two_series over all that it holds: 11 % promised, 23 % worse)."""
     held, chosen = errors_of_folds([found.after], found.after.active)[found.after.name], told_by_readings(found.after)
     promise, asked = anticipated_shrinkage(found, held, 1.0, CARRIED_PATCH, sealed)
     if promise is None or promise.low <= 0.0 or (named is not None and promise.predicted <= named.predicted):

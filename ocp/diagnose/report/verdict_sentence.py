@@ -142,7 +142,7 @@ def not_written(answer: Answer) -> str:
     why = f"what {'it promises' if one else 'they promise'} may be nothing, or harm"
     if harmed:
         why = f"{', '.join(harmed)}, when left out, said that {'it harms' if one else 'they harm'}"
-    elif all(g.shrinkage is None for g in answer.gaps if {*kept} & {Name(*key) for key in g.shown}):
+    elif {g.shrinkage for g in answer.gaps if {*kept} & {Name(*key) for key in g.shown}} == {None}:
         why = f"fitted without {'it' if one else 'them'}, the cell's own parameters follow the readings as well"
     return f"{which} not in the corrected cell: {why}."
 

@@ -97,7 +97,7 @@ def with_further(channel: Channel) -> Channel:
     all act on the arm, or none does: what it says of an arm is one direction."""
     own = {one.scanned["source"] in ON_ARM for one in channel.active if is_patch(one.effect)}
     kept = "" if channel.name == "tracker" else "joint" if own == {True} else "reading"
-    for _ in range(rules.MOST_PATCHES - 1):
+    for _ in range(rules.MOST_PATCHES // (1 if channel.name == "tracker" else 2) - 1):
         stacked = stack((channel,), np.zeros(len(channel.system.residual)))
         families = [f for f in kernel_families((channel,), stacked) if f.name.effect.endswith(kept)]
         pool = make_pool(stacked.y, stacked.freedom, families)
