@@ -16,7 +16,7 @@ from ocp.diagnose.engine.evidence import project
 from ocp.diagnose.engine.findings import Alternative, Diagnosis, Explanation, Name, Options
 from ocp.diagnose.engine.linearisation import linearised
 from ocp.diagnose.engine.pool import Member, make_pool
-from ocp.diagnose.foresee.anticipated import _beyond_measured, _with_same_readings, anticipated, remaining, signal_gap
+from ocp.diagnose.foresee.anticipated import _beyond_measured, anticipated, kinds_beyond, remaining, signal_gap
 from ocp.diagnose.rules import BACKGROUND_SIZES, NO_BACKGROUND, NO_OTHER_RIPPLE
 from ocp.diagnose.tracker.background import DRAWS, _line, _Waves, _weights, _with_further, background
 from ocp.diagnose.tracker.channel import TrackerChannel
@@ -406,12 +406,14 @@ def test_only_what_is_promised_above_zero_is_written():
         assert promised(found, [silent]) == (backlash,) and promised(partly, [silent]) == beside
 
 
-def test_what_is_asked_for_is_held_to_the_same_readings_under_another_name():
+def test_what_is_asked_for_is_held_to_the_same_readings_under_another_name(monkeypatch):
     """A campaign that warms as it goes: its last third is its warmest too, and what that says is told once, of the warmth."""
     left_out = (("temperature", 270), ("time", 270), ("payload", 300))
     every = [replace(held(4.0, 5.0), fold=Fold(kind, kind, np.arange(400) >= n)) for kind, n in left_out]
     assert set(promised_by_kind(every)) == {"another temperature", "another payload"}
-    assert _with_same_readings(every, ("later",)) == ("later", "another temperature") and _with_same_readings(every, ()) == ()
+    for beyond, kinds in ((("later",), ("later", "another temperature")), ((), ())):
+        monkeypatch.setattr("ocp.diagnose.foresee.anticipated._beyond_measured", lambda *_, beyond=beyond: beyond)
+        assert kinds_beyond(None, every, None) == kinds
 
 
 def test_conditions_are_later_or_warmer_where_most_of_them_are():

@@ -254,6 +254,12 @@ def _as_many(sharpness: float, gain: float) -> float:
     return (RATES[1] - RATES[0]) * float(np.log(LENGTHS[1] / LENGTHS[0])) * sharpness * (gain / (4 * np.pi)) ** 1.5
 
 
+def _scores(problem: ForceProblem, fit: EffectFit) -> Array:
+    """What a train in the normal reading is multiplied with (n,)."""
+    mask = problem.log.contact * (problem.scene.conditions.belt != 0)
+    return np.asarray(fit.whiteners[0].back(fit.residual[: len(mask), None])[:, 0] * mask)
+
+
 def _sizes(problem: ForceProblem, fit: EffectFit) -> tuple[Array, Array]:
     """Frequencies (k,) 1/s and mean squared whitened lengths (k,) of a unit wave in all of the log."""
     log, c = problem.log, problem.scene.conditions
