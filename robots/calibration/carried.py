@@ -23,7 +23,9 @@ def _shared(found: Calibration, known: Calibration) -> tuple[list[int], list[int
 
 def chance_of_one_arm(found: Calibration, known: Calibration) -> float:
     """Chance that two calibrations of one arm, from readings of their own, differ in what both have by more than they do; 1 where
-    they have not the same model of it (`method`, bending joints), whose parameters mean something else."""
+    they have not the same model of it (`method`, bending joints), whose parameters mean something else. With d what the estimates
+    differ by and C1, C2 their covariances, d^T (C1 + C2)^-1 d is chi-square, with a degree a direction; a direction that neither
+    saw, where both have the same prior, counts less than that."""
     if any(found.provenance.get(key) != known.provenance.get(key) for key in ("method", BENDING)):
         return 1.0
     new, old = (np.array(places, np.int64) for places in _shared(found, known))

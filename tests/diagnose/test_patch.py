@@ -17,9 +17,9 @@ from ocp.diagnose.foresee.patched import beside_unknown, patched, unnamed, with_
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.diagnose.tracker.refit import believed_baseline
 from ocp.diagnose.verdict.answer import Patched, Remaining
-from ocp.diagnose.verdict.diagnosis import diagnose_channels
+from ocp.diagnose.verdict.diagnosis import diagnose_channels, errors_of_folds
 from ocp.diagnose.verdict.patching import as_patch, patches_of, seen_by
-from ocp.diagnose.verdict.shrinkage import ANOTHER_DAY, Shrinkage
+from ocp.diagnose.verdict.shrinkage import ANOTHER_DAY, Shrinkage, estimation_variance, from_folds
 from ocp.effects.cell_effects import patch_effect_of
 from ocp.effects.engine.readings import displaced, motion
 from ocp.effects.engine.symbolic import planned_arm_context
@@ -144,9 +144,13 @@ def test_left_out_readings_promise_what_comes_too(monkeypatch):
     """Joint 3 follows joint 2: what left-out readings promise, as they do of an arm that misses far more than noise, comes on new
     postures."""
     d, _, points = findings_of("coupled")
+    unknown = unnamed(d, ())
+    by_model = patched(unknown, None)
     monkeypatch.setattr("ocp.diagnose.foresee.anticipated.TrackerChannel.restless", lambda *_: True)
-    found = patched(unnamed(d, ()), None)
+    found = patched(unknown, None)
     assert found is not None and not found.asked and ANOTHER_DAY in found.promise
+    held = errors_of_folds([unknown.after], unknown.after.active)["tracker"]
+    assert found.shrinkage == from_folds(held, estimation_variance(unknown.after)) != by_model.shrinkage
     new, truth = new_readings(5, points)
     told = with_patch(found.channel.predict(new, ()), found, new)
     came = 1.0 - rms(told.patched - truth) / rms(told.baseline - truth)
@@ -162,8 +166,10 @@ def test_a_patch_ends_where_few_readings_lie(clean):
     far.q[0, 0] = 5.0
     whole = measured_ranges(far, 0.0)
     assert whole["q1"] == pytest.approx((far.q[1, 0], -3.0)) and whole["q2"] == (c.q[:, 1].min(), c.q[:, 1].max())
-    far.q[0, 0] = -2.9
-    assert measured_ranges(far, 0.0)["q1"][1] == -2.9  # one reading somewhat farther than the others is an end like any
+    far.q[0, 0] = -2.84
+    assert measured_ranges(far, 0.0)["q1"][1] == -2.84  # one reading somewhat farther than the others is an end like any
+    hot = replace(c, temperature=np.where(np.arange(n) == 0, 90.0, c.temperature))
+    assert measured_ranges(hot, 0.0)["warm"][1] == 90.0 - c.reference  # few readings at another level are a level
     far.q[0, 0] = -5.0
     assert measured_ranges(far, 0.0, np.arange(n) < n // 2)["q1"][1] == pytest.approx(far.q[n // 2 - 1, 0])
 

@@ -223,10 +223,7 @@ def likely_trains(problem: ForceProblem, fit: EffectFit) -> SpliceTrains:
         return SpliceTrains((), round(_as_many(sharpness, max(2.0 * np.log(_as_many(sharpness, 4 * np.pi)), 1.0))))
     if not (c.belt[log.contact] != 0).any() or not len(steps) or np.median(steps) <= 0:  # a belt that stands knocks nowhere
         return SpliceTrains((), 1)
-    mask = problem.log.contact * (problem.scene.conditions.belt != 0)
-    y = (
-        fit.whiteners[0].back(fit.residual[: len(mask), None])[:, 0] * mask
-    )  # what a train in the normal reading is multiplied with
+    y = _scores(problem, fit)
     size = _sizes(problem, fit)
     found = list[tuple[float, Scanned, float]]()
     clocks = [(0.0, c.time)] + ([(1.0, c.clock)] if "clock_s" in c.given and len(np.unique(c.run)) > 1 else [])
