@@ -18,16 +18,15 @@ from robots.calibration.fit import (
     Fit,
     fit_campaign,
     fit_learned,
-    located,
     predict_readings,
     predictive_covariance,
     stated_turn_sd,
     with_turn_sd,
 )
 from robots.calibration.identifiability import Identifiability, described, identify, listed
-from robots.calibration.layout import Choice, Layout, State, nominal_state
+from robots.calibration.layout import Choice, Layout, State
 from robots.calibration.load_tests import LoadTest, load_test
-from robots.calibration.methods import METHODS, before, calibrate_by
+from robots.calibration.methods import METHODS, before, calibrate_by, errors_as_calibrated
 from robots.calibration.mistakes import refuse_loads, refuse_mistakes, refuse_units
 from robots.calibration.noise import Repeats, repeat_scatter
 from robots.calibration.parameters import BASE_NAMES
@@ -275,20 +274,12 @@ def _off(c: Campaign, state: State) -> Array:
 
 
 def _error_of(c: Campaign, choice: Choice, known: Calibration, rows: Array) -> float | None:
-    """`MethodTable.earlier`, the tracker and its nests placed: readings that a calibration was fitted to it meets too well, so
-    how it met those left out must be told too."""
-    told: Any = known.provenance
-    for key in ("held_out", "random", "mean_mm"):
-        told = told.get(key) if isinstance(told, dict) else None
-    if not len(rows) or not isinstance(told, float | int):
+    """`MethodTable.earlier`: readings that a calibration was fitted to it meets too well, so how it met those left out must be
+    told too."""
+    told = known.held_out_error
+    if not len(rows) or told is None:
         return None
-    state = nominal_state(c.robot, c.readings, c.payloads, c.instrument, choice)
-    arm = state.arm.copy()
-    for i, name in enumerate(ARM_NAMES):
-        if name in known.names:
-            arm[i] = known.values[known.names.index(name)]
-    off = _off(c, located(c, replace(state, arm=arm)))[rows]
-    return max(float(np.linalg.norm(off, axis=1).mean()), 1e-3 * told)
+    return max(float(errors_as_calibrated(c, known, choice)[rows].mean()), told)
 
 
 def doubts_about(c: TrackerCalibration) -> list[str]:

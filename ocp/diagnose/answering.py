@@ -26,7 +26,7 @@ from ocp.diagnose.foresee.next_experiment import next_experiments
 from ocp.diagnose.foresee.patched import beside_unknown, patched, predictions, unnamed, with_patch
 from ocp.diagnose.joints.channel import JointChannel, joint_channel
 from ocp.diagnose.report.verdict_sentence import diagnosis_headline, not_written, told_as
-from ocp.diagnose.rules import LEADS
+from ocp.diagnose.rules import LEADS, OFF_AS_CALIBRATED
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.diagnose.tracker.refit import believed_baseline
 from ocp.diagnose.verdict.answer import Answer, SignalGap, known_beside, promised
@@ -82,7 +82,16 @@ def tracker_channel(data: DataSet) -> TrackerChannel:
             f"{readings.path}: the readings leave something open that no prior holds, as the tracker's turn; measure more "
             "postures, with all axes moved, and give the nests' places in [tracker.targets]"
         ) from None
-    return TrackerChannel(task, fit)
+    return TrackerChannel(task, fit, known=setup.calibration)
+
+
+def of_another_arm(channels: Sequence[Channel]) -> Iterator[str]:
+    """A sentence where the cell's own calibration misses the readings by far more than it told of those left out of its own."""
+    for one in (c for c in channels if isinstance(c, TrackerChannel) and c.missed > OFF_AS_CALIBRATED):
+        yield (
+            f"{one.readings.path.name}: the cell's calibration misses these readings by {one.missed:.1f} times what it missed "
+            "readings left out of its own by: what is named came since, or the arm is another one, or was mastered anew"
+        )
 
 
 def beside_others(written: Sealed, parts: Sequence[tuple[float, Sealed]]) -> Sealed:
@@ -135,7 +144,7 @@ def answer_of(folder: Path, phases: Phases, known: dict[str, Effect] | None = No
         experiments = next_experiments(found, known)
     told = [n for channel in channels for n in getattr(getattr(channel, "problem", None), "notices", ())]
     blind = tuple(dict.fromkeys((*(n for n in told if blinds(n)), *data.blind, *grouped(found.blind))))
-    notices = tuple(dict.fromkeys((*data.notices, *(n for n in told if not blinds(n)))))
+    notices = tuple(dict.fromkeys((*data.notices, *of_another_arm(channels), *(n for n in told if not blinds(n)))))
     written, fitted = _at_rest(found, promised(found, gaps))
     with phases.phase("patch"):
         if (unknown := unnamed(found, written)) is not None:

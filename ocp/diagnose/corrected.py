@@ -15,6 +15,7 @@ import numpy as np
 from ocp.diagnose.dataset import CELL, DataSet
 from ocp.diagnose.engine.channel_system import Channel
 from ocp.diagnose.force.prior import posterior_of
+from ocp.diagnose.rules import OFF_AS_CALIBRATED
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.diagnose.verdict.answer import Answer, known_beside
 from ocp.diagnose.verdict.shrinkage import Shrinkage
@@ -104,11 +105,13 @@ def _ends(**columns: Array | None) -> dict[str, float]:
 def calibration_of(channels: Mapping[str, Channel], data: DataSet, written: Sequence[Active] = ()) -> Calibration | None:
     """The refitted arm, and contact where a force channel has refitted it, with what the believed calibration knows besides
     (wheel and blade beside an arm, the tracker's frame beside a contact); None where neither was measured."""
-    tracker = _of_arm(channels["tracker"], data) if "tracker" in channels else None
-    known = data.setup.calibration
-    if "force" not in channels:
-        return None if tracker is None else carried_over(tracker, known)
-    return carried_over(_of_contact(channels, data, written), known if tracker is None else tracker)
+    known, channel, arm = data.setup.calibration, channels.get("tracker"), None
+    if isinstance(channel, TrackerChannel):
+        told, station = _provenance(channel) | {"readings": len(channel.readings)}, int(np.unique(channel.readings.station)[0])
+        arm = posterior_of(data.setup.robot.name, channel.task.layout, channel.fit, station, told)
+        if "force" not in channels:
+            return carried_over(arm, known, channel.missed < OFF_AS_CALIBRATED)
+    return carried_over(_of_contact(channels, data, written), known if arm is None else arm) if "force" in channels else None
 
 
 def _of_contact(channels: Mapping[str, Channel], data: DataSet, written: Sequence[Active]) -> Calibration:
@@ -135,10 +138,3 @@ def _of_contact(channels: Mapping[str, Channel], data: DataSet, written: Sequenc
 def _provenance(channel: Channel) -> dict[str, Any]:
     effects = [f"{a.effect.name}:{a.joint}" if a.joint else a.effect.name for a in channel.active]
     return {"made_by": "ocp.diagnose, fitted together with the named effects", "effects": effects}
-
-
-def _of_arm(channel: Channel, data: DataSet) -> Calibration:
-    """Geometry, springs and the base in the tracker, with their joint covariance."""
-    assert isinstance(channel, TrackerChannel)
-    told, station = _provenance(channel) | {"readings": len(channel.readings)}, int(np.unique(channel.readings.station)[0])
-    return posterior_of(data.setup.robot.name, channel.task.layout, channel.fit, station, told)

@@ -472,6 +472,11 @@ FAR_SHARE = 0.25
 """[-] The same of a force log's settings: of the largest, where that is more than they vary by. Guards: as FAR_WARMTH. Reason: a
 quarter more is another process."""
 
+OFF_AS_CALIBRATED = 2.0
+"""[-] Mean error by the cell's own calibration, of what it told of readings left out of its campaign, above which that is told.
+Guards: readings of another arm, or of one that was mastered anew, taken for this cell's. Reason: an arm to which nothing happened
+is missed 0.6 to 0.9 times so far, one with an axis mastered anew by 0.4 mrad 3.5 times, another one 9 times."""
+
 NO_BACKGROUND = 0.05
 """[-] Prior probability that a machine has no play at all that lasts, and no ripple. Guards: what a corrected model is promised
 to leave. Reason: every gear has ripple (PHYSICS 6, Masses) and a little play (DIAGNOSIS, Second method), of some too little to be

@@ -38,12 +38,12 @@ def chance_of_one_arm(found: Calibration, known: Calibration) -> float:
     return float(chdtrc(max(int(seen.sum()), 1), np.sum(off[seen] ** 2 / size[seen])))
 
 
-def carried_over(found: Calibration, known: Calibration | None) -> Calibration:
+def carried_over(found: Calibration, known: Calibration | None, one_arm: bool | None = None) -> Calibration:
     """`found` with the parameters of `known` that it lacks, carried along by their regression on those that both have: where an
     axis' zero came out otherwise, a wheel that was found by that arm moves with it. Covariances are joint ones. Where the arms
     are surely two (an axis mastered anew), nobody knows which of it was found otherwise and which is otherwise: the wheel stays,
-    less sure by as much as it might have moved. What `known` tells of its force logs goes with the wheel, where `found` has none
-    of its own."""
+    less sure by as much as it might have moved; `one_arm`: whether they are one, None: by `chance_of_one_arm`. What `known` tells
+    of its force logs goes with the wheel, where `found` has none of its own."""
     rest = [] if known is None else [i for i, name in enumerate(known.names) if name not in found.names]
     if known is None or not rest:
         return found
@@ -53,7 +53,7 @@ def carried_over(found: Calibration, known: Calibration | None) -> Calibration:
     slope = C[np.ix_(rest, old)] / sd @ np.linalg.pinv(C[np.ix_(old, old)] / np.outer(sd, sd), rcond=1e-12, hermitian=True) / sd
     move, cross = slope @ (found.values[new] - known.values[old]), slope @ found.covariance[new]
     own = C[np.ix_(rest, rest)] - slope @ (C[np.ix_(old, old)] - found.covariance[np.ix_(new, new)]) @ slope.T
-    if chance_of_one_arm(found, known) < CHANGED:
+    if one_arm is False or (one_arm is None and chance_of_one_arm(found, known) < CHANGED):
         move, cross, own = 0.0 * move, 0.0 * cross, C[np.ix_(rest, rest)] + np.outer(move, move)
     whole = np.block([[found.covariance, cross.T], [cross, 0.5 * (own + own.T)]])
     names = (*found.names, *(known.names[i] for i in rest))

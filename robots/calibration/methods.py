@@ -15,8 +15,10 @@ from scipy.spatial import cKDTree
 from robots.calibration.fit import PLAIN, WEAK, Fit, fit_campaign, located, scaled_inverse
 from robots.calibration.layout import Choice, Priors, State, believed_compliance, nominal_state
 from robots.calibration.noise import reading_covariance, whitener
+from robots.calibration.reading_model import ARM_NAMES
 from robots.calibration.residuals import linearise, residuals
 from robots.calibration.solver import Campaign
+from robots.calibration.store import Calibration
 from robots.calibration.student_t import MEDIAN_OF_THREE, gaussian_moments, spread_of, tail_weights, weights
 from robots.gravity import weight_torques
 from robots.pose import Array
@@ -134,3 +136,15 @@ def before(campaign: Campaign, choice: Choice = PLAIN) -> State:
     """The believed robot with only the tracker and its nests placed: what there is before calibration."""
     c = campaign
     return located(c, nominal_state(c.robot, c.readings, c.payloads, c.instrument, choice))
+
+
+def errors_as_calibrated(campaign: Campaign, known: Calibration, choice: Choice = PLAIN) -> Array:
+    """Errors (n,) m of all readings by an arm as `known` has it, with the tracker and its nests placed by them."""
+    c = campaign
+    state = nominal_state(c.robot, c.readings, c.payloads, c.instrument, choice)
+    arm = state.arm.copy()
+    for i, name in enumerate(ARM_NAMES):
+        if name in known.names:
+            arm[i] = known.values[known.names.index(name)]
+    off = residuals(c.robot, c.readings, c.instrument, located(c, replace(state, arm=arm)))
+    return np.asarray(np.linalg.norm(off[:, :3], axis=1))

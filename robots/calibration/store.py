@@ -69,6 +69,14 @@ class Calibration:
         told = noise.get("joints_rad") if isinstance(noise, dict) else None
         return float(told) if isinstance(told, int | float) and np.isfinite(told) and told > 0 else None
 
+    @property
+    def held_out_error(self) -> float | None:
+        """Mean error m of readings that were left out of the fit at random. None: it does not say."""
+        told: Any = self.provenance
+        for key in ("held_out", "random", "mean_mm"):
+            told = told.get(key) if isinstance(told, dict) else None
+        return 1e-3 * told if isinstance(told, int | float) and np.isfinite(told) and told > 0 else None
+
 
 def write_calibration(path: str | Path, calibration: Calibration) -> None:
     """Write `path` (.toml) and the covariance beside it (.npz, no pickled objects).

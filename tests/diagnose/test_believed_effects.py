@@ -1,13 +1,15 @@
 """`[[effects]]` of the cell are believed: in the baseline of every channel, named again only for what they are off by."""
 
 import tomllib
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from ocp.diagnose.answering import tracker_channel
-from ocp.diagnose.corrected import summed
+from ocp.diagnose.answering import of_another_arm, tracker_channel
+from ocp.diagnose.corrected import calibration_of, summed
 from ocp.diagnose.dataset import read_data_set, read_sealed
+from ocp.diagnose.force.prior import posterior_of
 from ocp.diagnose.interface import diagnose
 from ocp.diagnose.joints.channel import joint_channel
 from ocp.effects.catalogue import library
@@ -43,6 +45,42 @@ def test_a_believed_effect_is_in_the_baseline_of_readings_and_predictions(tmp_pa
     off = [1e3 * np.linalg.norm(c.predict(sealed, ()).baseline - truth, axis=1).mean() for c in (channel, ignorant)]
     assert off[0] < 0.04 < 0.1 < off[1]
     assert any("believes backlash of joint 3" in notice for notice in data.notices)
+
+
+@pytest.mark.parametrize("turned", [0.0, 3e-4])
+def test_readings_that_the_cells_own_calibration_misses_are_said_to_be_so(tmp_path, turned):
+    """Of a calibration that believed what the cell believes: the play is in the cell, an axis was mastered anew or not."""
+    write_tracker_folder(tmp_path / "a", seed=4, backlash=PLAY)
+    believe(tmp_path / "a", **play_of(PLAY))
+    data = read_data_set(tmp_path / "a")
+    channel = tracker_channel(data)
+    fit = posterior_of(data.setup.robot.name, channel.task.layout, channel.fit)
+    values = fit.values + turned * (np.array(fit.names) == "th3")
+    known = replace(fit, values=values, provenance=fit.provenance | {"held_out": {"random": {"mean_mm": 0.06}}})
+    assert channel.missed == replace(channel, known=fit).missed == 0.0  # nothing to compare with
+    assert (replace(channel, known=known).missed > 2.0) is (turned > 0)
+    told = list(of_another_arm([replace(channel, known=known)]))
+    assert len(told) == (turned > 0)
+    assert not told or told[0].startswith("tracker.csv: the cell's calibration misses these readings by ")
+
+
+@pytest.mark.parametrize("turned", [0.0, 3e-4])
+def test_a_wheel_stays_where_the_arm_was_mastered_anew(tmp_path, turned):
+    write_tracker_folder(tmp_path / "a", seed=4)
+    data = read_data_set(tmp_path / "a")
+    channel = tracker_channel(data)
+    fit = posterior_of(data.setup.robot.name, channel.task.layout, channel.fit)
+    at, places = fit.names.index("th3"), range(len(fit.names))
+    cross = fit.covariance[at] * 1.5  # the wheel was touched by this arm, 1.5 m away
+    whole = np.block([[fit.covariance, cross[:, None]], [cross, np.array([[1.5**2 * fit.covariance[at, at] + 1e-10]])]])
+    values = np.append(fit.values + turned * (np.arange(len(places)) == at), 1.7)
+    told = fit.provenance | {"held_out": {"random": {"mean_mm": 0.06}}}
+    known = replace(fit, names=(*fit.names, "wheel_x"), values=values, covariance=whole, provenance=told)
+    made = calibration_of({"tracker": replace(channel, known=known)}, replace(data, setup=replace(data.setup, calibration=known)))
+    wheel = made.names.index("wheel_x")
+    assert made.values[wheel] == pytest.approx(1.7, abs=1e-6)
+    assert made.standard_deviation[wheel] > (4e-4 if turned else 0.0)
+    assert bool(made.covariance[wheel, :wheel].any()) is (turned == 0.0)
 
 
 def test_what_a_belief_is_off_by_is_named_and_the_corrected_cell_has_the_sum(tmp_path):

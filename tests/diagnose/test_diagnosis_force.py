@@ -9,6 +9,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
+from ocp.calibrate.force.fit import BIAS, FIT_NAMES, covariance_left
 from ocp.calibrate.force.log import ForceLog, read_force_log
 from ocp.calibrate.force.model import ForceModel
 from ocp.calibrate.force.noise import Whitener
@@ -37,6 +38,8 @@ from ocp.effects.catalogue import library
 from ocp.effects.cell_effects import effect_of
 from ocp.effects.effect import Active, Effect
 from ocp.model.theta import NAMES
+from robots.calibration.carried import FORCE
+from robots.calibration.store import Calibration
 from robots.errors import Infeasible
 from tests.support.diagnosis_force_world import HEADER, Base, Planted, log_of, moved_joints
 from tests.support.force_world import arm_posterior, write_log
@@ -254,6 +257,31 @@ def test_a_planted_effect_comes_out_with_its_value(made, tmp_path, name):
     found, sd = after.active[0].parameters, after.active[0].deviations
     for key, value in values.items():
         assert abs(found[key] - value) < 4 * sd.get(key, 0.1 * value) + 0.03 * abs(value), (key, found[key])
+
+
+def test_a_blade_that_slipped_since_the_calibration_is_among_the_names(made, tmp_path):
+    moved, problem, fit = 3e-4, made.channel.problem, made.channel.fit
+    x = problem.believed.mean + problem.believed.root @ fit.z[: problem.sizes[0]]
+    C = covariance_left(problem.believed.root, fit.information)
+    at = np.flatnonzero(np.diag(C)[: BIAS + 1])
+    registered = Calibration(
+        problem.scene.cell.robot.name, tuple(FIT_NAMES[i] for i in at), x[at], C[np.ix_(at, at)], {FORCE: {}}
+    )
+    log, truth = _log(made.base, (Planted(overlap=lambda b: np.full(len(b), -moved)),), tmp_path, 5)
+    scene = replace(problem.scene, cell=replace(problem.scene.cell, calibration=registered))
+    moved_on = replace(problem, log=log, scene=scene, believed=contact_prior(scene.cell))
+    channel = ForceChannel(moved_on, fit_effects(moved_on), made.channel.effects)
+    began = float(log.clock.min())
+    assert channel.surroundings.breaks[0] == began
+    assert made.channel.surroundings.breaks[0] > began  # where nothing is registered it is registration
+    found = diagnose_channels((channel,), {n: EFFECTS[n] for n in ("clamp_slip", "wheel_frame_shift", "backlash")})
+    assert {("clamp_slip", began), ("wheel_frame_shift", began)} == {
+        (r.name.effect, r.active.scanned["at_s"]) for r in found.ranking[:2]
+    }
+    assert found.p_none < 0.01
+    after = channel.with_active((_active("clamp_slip", 0, {"at_s": began, "side": (0.0, 0.0, 0.0)}),))
+    assert after.active[0].a[0] == pytest.approx(moved, abs=4 * float(np.sqrt(after.active[0].covariance[0, 0])))
+    assert _gap(after, truth) < 0.06 < 0.5 * _gap(channel, truth)
 
 
 def test_an_effect_of_the_arm_is_the_same_joint_motion(made, tmp_path):

@@ -13,7 +13,7 @@ from ocp.diagnose.foresee.anticipated import remaining
 from ocp.diagnose.rules import LINES_A_GEAR, QUIET
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.diagnose.tracker.held_out import added, placed_stands, tracker_folds
-from ocp.diagnose.tracker.refit import RANK, believed_baseline, link_torques, reliability, settled, weighed_links
+from ocp.diagnose.tracker.refit import RANK, believed_baseline, reliability, settled
 from ocp.diagnose.verdict import diagnosis
 from ocp.diagnose.verdict.answer import Remaining
 from ocp.diagnose.verdict.diagnosis import _scattering, cancelling, diagnose_channels, implausible
@@ -27,7 +27,7 @@ from robots.calibration.noise import Noise, reading_covariance
 from robots.calibration.solver import Campaign
 from robots.calibration.uneven import scatter_by_group, scatter_by_joint
 from robots.errors import BadInput
-from robots.gravity import weight_torques
+from robots.gravity import link_torques
 from robots.tracker_readings import read_readings
 from tests.support.simulated_campaign import EXTRA, INSTRUMENT, NESTS, PAYLOADS, campaign_readings, measured, random_truth
 
@@ -356,19 +356,6 @@ def test_the_ripple_of_a_gear_among_loud_ones_is_no_effect(lines, named, monkeyp
     monkeypatch.setattr("ocp.diagnose.rules.LINES_A_GEAR", lines)
     found = diagnosed(world(22, loud)[0])
     assert bool(found.active) == named, found.ranking[:3]
-
-
-def test_torques_of_weights_are_those_of_other_links():
-    q = np.random.default_rng(1).uniform(-1.5, 1.5, (7, 6))
-    found, step = link_torques(ROBOT, q), 1e-3
-    for at, (_, link, axis) in enumerate(weighed_links(ROBOT)):
-        mass, com = ROBOT.link_mass.copy(), ROBOT.link_com.copy()
-        if axis < 0:
-            mass[link] *= 1.0 + step
-        else:
-            com[link, axis] += step
-        changed = weight_torques(replace(ROBOT, link_mass=mass, link_com=com), q) - weight_torques(ROBOT, q)
-        np.testing.assert_allclose(found[:, :, at], changed / step, atol=1e-6)
 
 
 def test_an_effect_outside_the_catalogue_is_placed_but_not_named():

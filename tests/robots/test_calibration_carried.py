@@ -41,6 +41,9 @@ def test_a_wheel_stays_less_sure_where_the_arm_itself_is_another():
         np.hypot(old.standard_deviation[2], 4e-4)
     )
     assert not both.covariance[2, :2].any() and moved.values[2] - old.values[2] == pytest.approx(5e-5)
+    told, held = carried_over(new, old, one_arm=True), carried_over(near, old, one_arm=False)  # who knows it says so
+    assert told.values[2] - old.values[2] == pytest.approx(4e-4) and told.standard_deviation[2] < 3e-5
+    assert held.values[2] == old.values[2] and not held.covariance[2, :2].any()
     rng, count = np.random.default_rng(1), 4000  # of one arm every chance is as likely
     chances = np.array([chance_of_one_arm(replace(new, values=d), old) for d in _drawn(rng, old, new, count)])
     assert np.mean(chances < 0.1) == pytest.approx(0.1, abs=0.02)

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from robots.compliance import compliance_from_stiffness, deflect, deflected_joints
-from robots.gravity import GRAVITY, gravity_torques, weight_torques
+from robots.gravity import GRAVITY, gravity_torques, link_torques, weighed_links, weight_torques
 from robots.kinematics import forward, jacobian
 from robots.rigid_body import inverse_dynamics
 from robots.robot import load_robot
@@ -170,3 +170,17 @@ def test_the_other_variants_carry_the_same_masses_at_their_own_axes(name):
     assert np.abs(tau[:, 3:]).max() < 1e-9
     straight = weight_torques(robot, np.zeros(6))[0]
     assert abs(straight[2] - GRAVITY * (173.31 * 0.19737 + 57.53 * (robot.mdh[3, 1] - 0.03883))) < 1e-9
+
+
+def test_torques_of_weights_are_those_of_other_links():
+    robot = load_robot("kr210_r2700_extra")
+    q = np.random.default_rng(1).uniform(-1.5, 1.5, (7, 6))
+    found, step = link_torques(robot, q), 1e-3
+    for at, (_, link, axis) in enumerate(weighed_links(robot)):
+        mass, com = robot.link_mass.copy(), robot.link_com.copy()
+        if axis < 0:
+            mass[link] *= 1.0 + step
+        else:
+            com[link, axis] += step
+        changed = weight_torques(dataclasses.replace(robot, link_mass=mass, link_com=com), q) - weight_torques(robot, q)
+        np.testing.assert_allclose(found[:, :, at], changed / step, atol=1e-6)

@@ -28,6 +28,7 @@ from ocp.effects.effect import Active, Effect, Scanned, Surroundings, effects_ke
 from ocp.effects.flange_friction import EFFECT as FRICTION
 from ocp.effects.motor_harmonic import ratios_of
 from ocp.model.cell import Cell, with_calibration
+from robots.calibration.carried import FORCE
 from robots.calibration.store import Calibration
 from robots.errors import Infeasible
 from robots.gravity import weight_torques
@@ -298,6 +299,8 @@ def surroundings(problem: ForceProblem) -> Surroundings:
     clocked = "clock_s" in c.given
     first, last = np.array(sorted((c.clock[c.run == r].min(), c.clock[c.run == r].max()) for r in np.unique(c.run))).T
     breaks = 0.5 * (last[:-1] + first[1:]) if clocked and len(first) > 1 else np.empty(0)
+    if clocked and cell.calibration is not None and FORCE in cell.calibration.provenance:
+        breaks = np.append(breaks, first[0])  # moved since the calibration; without one it is registration
     ways = c.s[log.contact]
     own = cell.tables.workpiece.payload if cell.tables.workpiece is not None else None
     return Surroundings.of(

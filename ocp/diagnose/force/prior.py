@@ -70,9 +70,11 @@ def contact_prior(cell: Cell, arm: Calibration | None = None) -> NuisancePrior:
 
 
 def arm_with_effects(tracker: TrackerChannel, active: Sequence[Active]) -> Calibration:
-    """The arm's posterior when effects of the arm are in the tracker's prediction: what they explain there, geometry does not."""
+    """The arm's posterior when effects of the arm are in the tracker's prediction: what they explain there, geometry does not.
+    What the cell's calibration knows besides goes with it."""
     made = tracker.with_active(tuple(a for a in active if a.effect.on_arm))
-    return posterior_of(made.task.campaign.robot.name, made.task.layout, made.fit)
+    found = posterior_of(made.task.campaign.robot.name, made.task.layout, made.fit)
+    return carried_over(found, tracker.known, tracker.missed < rules.OFF_AS_CALIBRATED)
 
 
 def posterior_of(

@@ -14,10 +14,13 @@ from ocp.diagnose.tracker.background import Background, background
 from ocp.diagnose.tracker.held_out import held_out_readings, predict_sealed_readings, tracker_folds
 from ocp.diagnose.tracker.refit import Task, TrackerFit, gap_noise, is_restless, refit, relearned, settled
 from ocp.effects.effect import Active, Effect, Scanned, Surroundings, effects_key, scan_key
-from ocp.effects.engine.readings import COLUMNS, PlacedReadings, by_readings, displaced, motion
+from ocp.effects.engine.readings import COLUMNS, PlacedReadings, by_readings, displaced, motion, without_effects
 from ocp.effects.motor_harmonic import ratios_of
 from ocp.effects.patch import is_patch, within
+from robots.calibration.methods import errors_as_calibrated
 from robots.calibration.noise import reading_covariance, whitener
+from robots.calibration.store import Calibration
+from robots.calibration.student_t import GROSS
 from robots.calibration.uneven import GroupScatter, scatter_by_group, scatter_by_joint
 from robots.gravity import weight_torques
 from robots.pose import Array
@@ -35,11 +38,13 @@ class TrackerChannel:
 
     Displacements of screened effects are kept over refits (`store`): they move by a thousandth when the geometry does. So is
     what this channel was refitted to already (`refits`): what is anticipated and what is predicted ask for the same.
+    known: the calibration that the cell has.
     """
 
     task: Task
     fit: TrackerFit
     store: dict[tuple[str, int], tuple[tuple[Scanned, ...], Array]] = field(default_factory=dict, repr=False)
+    known: Calibration | None = field(default=None, repr=False)
     name: str = "tracker"
     unit: str = "mm"
     refits: dict[tuple[object, ...], "TrackerChannel"] = field(default_factory=dict, init=False, repr=False, compare=False)
@@ -106,6 +111,16 @@ class TrackerChannel:
         groups = [*scatter_by_group(*seen, LEAST_GROUP), *(one for one in scatter_by_joint(*seen) if is_restless(one.joints))]
         sure = [one for one in groups if one.ratio > UNEVEN and one.p_value < PLACE_SURE]
         return min(sure, key=lambda one: one.p_value, default=None)
+
+    @cached_property
+    def missed(self) -> float:
+        """Mean error of the readings, outliers apart, by the arm as the cell's calibration has it, over what that told of those
+        left out of its own campaign; zero where it told nothing."""
+        task, told = self.task, None if self.known is None else self.known.held_out_error
+        if self.known is None or told is None:
+            return 0.0
+        bare = without_effects(task.campaign, self.fit.state, task.believed, task.reference) if task.believed else task.campaign
+        return float(errors_as_calibrated(bare, self.known)[self.fit.weight > GROSS].mean()) / told
 
     def restless(self, scale: float) -> bool:
         """Whether `scale` times the joint noise that the residual asks for is far above what such joints usually scatter."""
