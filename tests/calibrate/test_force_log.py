@@ -270,20 +270,27 @@ def test_a_log_in_another_unit_than_the_cell_is_refused(tmp_path, setpoint):
         refuse_force_unit(read(tmp_path, rows(fn_N=20.0 * inside, contact=1)), cell)
         with pytest.raises(BadInput, match="force.csv, column fn_N: .* where the cell asks for 20 N; give newtons"):
             refuse_force_unit(read(tmp_path, rows(fn_N=20.0 * outside, contact=1)), cell)
-    for unit, factor in (("kilograms", 9.80665), ("pounds", 4.44822)):
-        for near in (0.93, 1.07):
-            with pytest.raises(BadInput, match=f"as a force in {unit}-force"):
-                refuse_force_unit(read(tmp_path, rows(fn_N=20.0 * near / factor, contact=1)), cell)
+    for unit, factor in (("kilograms", 9.80665), ("pounds", 4.44822), ("kilonewtons", 1000.0)):
+        for near in (0.93, 1.07):  # a pull in newtons beside it is no normal force
+            with pytest.raises(BadInput, match=f"as a force in {unit}"):
+                refuse_force_unit(read(tmp_path, rows(fn_N=20.0 * near / factor, ft_N=6.4, contact=1)), cell)
+        if unit == "kilonewtons":
+            continue
         for apart in (0.91, 1.09):
             refuse_force_unit(read(tmp_path, rows(fn_N=20.0 * apart / factor, contact=1)), cell)
         # A column says what was asked for; but for a unit that both are in, and one row of it for nothing.
         refuse_force_unit(read(tmp_path, rows(fn_N=20.3 / factor, setpoint_N=20.1 / factor, contact=1)), cell)
-        for told, words in ((0.02, "where the cell asks for 20 N"), (20.0 / factor, f"is the cell's setpoint of 20 N in {unit}")):
+        for told, words in (
+            (0.013, "where the cell asks for 20 N"),
+            (20.0 / factor, f"is the cell's setpoint of 20 N in {unit}"),
+        ):
             with pytest.raises(BadInput, match=words):
                 refuse_force_unit(read(tmp_path, rows(fn_N=told, setpoint_N=told, contact=1)), cell)
         idle = [row | {"setpoint_N": 20.0 * (k > 0)} for k, row in enumerate(rows(fn_N=20.0 / factor, contact=1))]
         with pytest.raises(BadInput, match=f"as a force in {unit}"):
             refuse_force_unit(read(tmp_path, idle), cell)
+    with pytest.raises(BadInput, match="is the cell's setpoint of 20 N in kilonewtons"):
+        refuse_force_unit(read(tmp_path, rows(fn_N=0.02, setpoint_N=0.02, contact=1)), cell)
     for more, words in (({"setpoint_N": 0.02}, "fn_N is 1e.03 times"), ({"ft_N": 700.0}, "ft_N: 700 in contact")):
         with pytest.raises(BadInput, match=words):
             refuse_force_unit(read(tmp_path, rows(fn_N=20.0, contact=1, **more)), cell)
@@ -355,6 +362,8 @@ def test_a_clock_in_another_unit_than_the_times_is_refused(tmp_path, factor, uni
 
     with pytest.raises(BadInput, match=f"column clock_s: .* counts .* where time_s counts 0.89 s in this run: {unit}"):
         read(tmp_path, clocked(factor))
+    with pytest.raises(BadInput, match=f"column time_s: .* where clock_s counts 0.89 s in this run: {unit}"):
+        read(tmp_path, clocked(1.0 / factor, slow=factor))
     for times in (1.0, 0.5, 1.05):  # a wheel that stands for half of it, clocks that are not quite alike
         assert len(read(tmp_path, clocked(times))) == 270
     for second in (1.0, 60.0):  # clocks of whole seconds or minutes

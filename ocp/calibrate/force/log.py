@@ -3,7 +3,7 @@
 import hashlib
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import pairwise, product
 from pathlib import Path
 
 import numpy as np
@@ -41,7 +41,7 @@ PLAIN = {**{"ft": "ft_N", "belt": "belt_m_s"}, **{"temperature": "temperature_C"
 UNIT_TOLERANCE = 0.01  # of a unit vector's length
 SQUARE = 0.05  # largest |n . t|
 UNITS_APART = 30.0  # no process runs at thirty times its setpoint; kilonewtons and grams are farther off
-OTHER_UNITS = {"kilograms-force (or decanewtons)": 9.80665, "pounds-force": 4.44822}  # N
+OTHER_UNITS = {"kilograms-force (or decanewtons)": 9.80665, "pounds-force": 4.44822, "kilonewtons": 1000.0}  # N
 OTHER_UNIT_NEAR = 0.08  # a controlled force keeps as near to its setpoint
 SAME_SETPOINT = 5e-4  # a setpoint is a round number in one unit only
 MOST_FRICTION = 3.0  # coated abrasives grind with 0.3 to 1
@@ -303,7 +303,7 @@ def refuse_force_unit(log: ForceLog, cell: Cell) -> None:
                 f"{log.path}, column fn_N: {share:.3g} times what was asked for in contact (median), as a force in {unit} would "
                 f"be; give newtons (times about {newtons:.2g}), or what was really asked for in a column setpoint_N"
             )
-        if wanted > 0 and abs(told * newtons / wanted - 1.0) < SAME_SETPOINT:
+        if wanted > 0 and share < UNITS_APART and abs(told * newtons / wanted - 1.0) < SAME_SETPOINT:
             raise BadInput(
                 f"{log.path}, column setpoint_N: {told:.4g} (median) is the cell's setpoint of {wanted:g} N in {unit}; give "
                 f"newtons (times {newtons:.4g}) in setpoint_N, fn_N and ft_N"
@@ -450,12 +450,13 @@ def _check_clock(table: CsvTable, run: Index) -> None:
     time, clock = table.numbers["time_s"], table.numbers["clock_s"]
     rows = sorted((np.flatnonzero(run == i) for i in np.unique(run)), key=lambda at: float(clock[at[0]]))
     went, counted = (np.array([float(np.ptp(values[at])) for at in rows]) for values in (time, clock))
-    for unit, name in OTHER_CLOCKS.items():
-        like = (went > 0) & (np.abs(counted - unit * went) < OTHER_CLOCK_NEAR * unit * went)
+    for (unit, name), wrong in product(OTHER_CLOCKS.items(), ("clock_s", "time_s")):
+        most, right = (counted, went) if wrong == "clock_s" else (went, counted)
+        like = (right > 0) & (np.abs(most - unit * right) < OTHER_CLOCK_NEAR * unit * right)
         if np.count_nonzero(like) > 0.5 * len(rows):
-            at = rows[int(np.argmax(like))]
-            why = f"counts {np.ptp(clock[at]):.6g} where time_s counts {np.ptp(time[at]):.6g} s in this run: {name}? give seconds"
-            raise table.refuse(int(at[-1]), "clock_s", why)
+            at, other = int(np.argmax(like)), "time_s" if wrong == "clock_s" else "clock_s"
+            why = f"counts {most[at]:.6g} where {other} counts {right[at]:.6g} s in this run: {name}? give seconds"
+            raise table.refuse(int(rows[at][-1]), wrong, why)
     span, recorded = float(np.ptp([clock[at[0]] for at in rows] or [0.0])), float(went[:-1].sum())
     if recorded > COARSE * len(rows) + UNCOUNTED * span:
         why = f"counts {span:.6g} s from the first recording to the last, those before it take {recorded:.6g} s; give one clock"
