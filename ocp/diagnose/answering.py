@@ -63,7 +63,7 @@ def channels_of(data: DataSet, phases: Phases) -> list[Channel]:
     if data.joints is not None:
         with phases.phase("joints"):
             stated = data.setup.tables.robot.stiffness_Nm_per_rad is not None  # believed more than a catalogue's
-            found.append(joint_channel(data.joints, data.setup.robot, data.payload, stated, data.believed_by("joint")))
+            found.append(joint_channel(data.joints, data.setup.robot, data.setup.hanging, stated, data.believed_by("joint")))
     return found
 
 
@@ -143,6 +143,7 @@ def answer_of(folder: Path, phases: Phases, known: dict[str, Effect] | None = No
         gaps = tuple(signal_gap(found, b, a, asked.get(b.name)) for b, a in zip(found.baseline, found.channels, strict=True))
         experiments = next_experiments(found, known)
     told = [n for channel in channels for n in getattr(getattr(channel, "problem", None), "notices", ())]
+    told += [n for channel in found.channels for n in getattr(channel, "surprises", ())]
     blind = tuple(dict.fromkeys((*(n for n in told if blinds(n)), *data.blind, *grouped(found.blind))))
     notices = tuple(dict.fromkeys((*data.notices, *of_another_arm(channels), *(n for n in told if not blinds(n)))))
     written, fitted = _at_rest(found, promised(found, gaps))

@@ -55,18 +55,16 @@ def write_corrected_cell(folder: Path, out: Path, answer: Answer) -> None:
         tables["effects"] = named
     patches = [patch_table(one, "believed") for one in total if is_patch(one.effect)]
     if answer.patch is not None:
-        told = promise_words(answer.patch.shrinkage, bool(answer.written))
-        patches += [patch_table(one, told) for one in answer.patch.patches]
+        patches += [patch_table(one, promise_words(answer.patch.shrinkage, bool(answer.written))) for one in answer.patch.patches]
     if patches:
         tables["patches"] = patches
-    text = f"# {CELL} with what ocp.diagnose found\n{toml_text(tables)}"
-    (folder / "corrected_cell.toml").write_text(text, encoding="utf-8")
+    (folder / "corrected_cell.toml").write_text(f"# {CELL} with what ocp.diagnose found\n{toml_text(tables)}", encoding="utf-8")
 
 
 def promise_words(told: Shrinkage, named: bool) -> str:
     """A promise as a cell tells it; `named`: with effects beside."""
-    beside = ", with the effects" if named else ""
-    return f"{100 * told.predicted:.0f} % of the gap ({100 * told.low:.0f} to {100 * told.high:.0f} %){beside}"
+    share = f"{100 * told.predicted:.0f} % of the gap ({100 * told.low:.0f} to {100 * told.high:.0f} %)"
+    return f"{share}, with the effects" if named else share
 
 
 def summed(believed: Sequence[Active], found: Sequence[Active]) -> list[Active]:

@@ -24,7 +24,7 @@ from robots.csv_table import OURS
 from robots.errors import BadInput
 from robots.pose import Array
 from robots.robot import left_out_notices
-from robots.tracker_readings import BLIND, POINT, Hanging, Readings, read_readings
+from robots.tracker_readings import BLIND, POINT, Readings, read_readings
 
 CELL, TRACKER, FORCE, JOINTS, BLADE = "cell.toml", "tracker.csv", "force.csv", "joints.csv", "blade.stl"
 SEALED = {"tracker": "sealed_tracker.csv", "force": "sealed_force.csv", "joint": "sealed_joints.csv"}
@@ -69,11 +69,6 @@ class DataSet:
             assert self.readings is not None
             return shown_in(self.believed, self.readings)
         return tuple(a for a in self.believed if seen_by_encoder(a.effect) and JOINT_COLUMNS.issuperset(a.effect.needs))
-
-    @property
-    def payload(self) -> Hanging:
-        """What hangs on the flange while grinding and where nobody says otherwise."""
-        return self.setup.payloads.get(self.setup.tables.hanging or "", Hanging())
 
 
 def read_data_set(folder: str | Path, columns: Path | None = None) -> DataSet:

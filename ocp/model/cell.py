@@ -478,6 +478,11 @@ class TrackerSetup:
     tables: CellTables
     calibration: Calibration | None = None
 
+    @property
+    def hanging(self) -> Hanging:
+        """What hangs on the flange while grinding and where nobody says otherwise."""
+        return self.payloads.get(self.tables.hanging or "", Hanging())
+
 
 def read_tracker_setup(path: str | Path) -> TrackerSetup:
     """Read cell.toml for a measurement; wheel and workpiece may be absent. Raises BadInput as `read_toml`, `load_robot`,

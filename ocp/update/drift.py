@@ -12,10 +12,9 @@ is the fit of `ocp.calibrate.force`. WALKS has the sources of Q and G.
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import chdtrc
 
 from ocp.calibrate.force.assessment import DOES
-from ocp.calibrate.force.fit import BIAS, BIAS_SD, FIT_NAMES, ForceSolution, force_prior, offset_columns
+from ocp.calibrate.force.fit import BIAS, BIAS_SD, FIT_NAMES, ForceSolution, force_prior, offset_columns, surprise
 from ocp.calibrate.force.log import ForceLog
 from ocp.calibrate.force.model import ForceModel, ForceRows, PlacedRows
 from ocp.model.cell import Cell
@@ -147,9 +146,9 @@ def verdict_on(solution: ForceSolution, log: ForceLog, run_offset: float) -> Ver
     """Of a fitted log: its gap to the prior's prediction against the prior and the noise.
 
     With whitened residuals e about the prior's mean, sensitivities A to its standard normal unknowns and B to the offsets of
-    runs (`run_offset` N, one sigma, of what no model holds), V = 1 + B B^T:
+    runs (`run_offset` N, one sigma, of what no model holds), V = 1 + B B^T, and `surprise` of z:
 
-        K = A^T V^-1 A,  g = A^T V^-1 e  has covariance K + K^2;   sum over eigenvectors with l > 1 of g_i^2 / (l_i + l_i^2)   (2)
+        K = A^T V^-1 A,   (1 + K) z = A^T V^-1 e                                                              (2)
     """
     root, channel = solution.prior.root, solution.channel
     runs = run_offset * offset_columns(log.run, log.contact)
@@ -158,15 +157,12 @@ def verdict_on(solution: ForceSolution, log: ForceLog, run_offset: float) -> Ver
     inner = np.linalg.inv(np.eye(B.shape[1]) + B.T @ B)
     K = A.T @ A - A.T @ B @ inner @ B.T @ A
     g = A.T @ white.residual - A.T @ B @ inner @ B.T @ white.residual
-    size, vector = np.linalg.eigh(0.5 * (K + K.T))
-    seen = size > 1.0
-    score = (vector.T @ g)[seen]
-    statistic = float(np.sum(score**2 / (size[seen] + size[seen] ** 2)))
-    step = root @ np.linalg.solve(np.eye(len(K)) + K, g)
+    z = np.asarray(np.linalg.solve(np.eye(len(K)) + K, g))
+    step = root @ z
     sd = np.sqrt(np.diag(solution.prior.covariance))
     moves = {n: float(step[i] / sd[i]) for i, n in enumerate(FIT_NAMES) if sd[i] > 0}
     order = tuple(sorted(moves.items(), key=lambda one: -abs(one[1])))
-    return Verdict(statistic, int(seen.sum()), float(chdtrc(max(int(seen.sum()), 1), statistic)), order)
+    return Verdict(*surprise(K, z), order)
 
 
 def unmodelled_force(model: ForceModel, rows: ForceRows, solution: ForceSolution, joint_noise: float) -> float:

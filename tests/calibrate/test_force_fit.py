@@ -3,6 +3,8 @@
 import csv
 import shutil
 from dataclasses import dataclass, replace
+from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -18,9 +20,11 @@ from ocp.calibrate.force.fit import (
     RULE,
     covariance_left,
     force_prior,
+    of_another_cell,
     reading_jacobian,
     reading_of,
     solve_force_log,
+    surprise,
 )
 from ocp.calibrate.force.log import ForceLog, read_force_log
 from ocp.calibrate.force.model import STATE, ForceModel, ForceRows, PlacedRows
@@ -494,3 +498,24 @@ def test_a_fit_on_a_kink_is_at_rest():
     """In a rigid cell the rows of ramps count: the best fit may lie where one just bears, and every step points across."""
     found = minimise(JustBearing(np.zeros(1)), np.ones(1), RULE)
     assert found.rested and found.at.z[0] == pytest.approx(0.5, abs=1e-3)
+
+
+@pytest.mark.parametrize("weak", [0.0, 3.0])
+def test_how_unlike_its_cell_a_log_is(weak):
+    """Of the cell itself every chance is as likely, whatever else is fitted and whatever the log hardly sees."""
+    rng, log = np.random.default_rng(5), SimpleNamespace(path=Path("force.csv"))
+    A = rng.normal(size=(40, 7)) * [3.0, 1.0, 2.0, 0.01, 4.0, 1.0, 2.0]
+    A[:, 4] += weak * A[:, 0]  # two runs and an effect beside five of the cell's
+    information, chances = np.eye(7) + A.T @ A, []
+    others = information[5:, 5:]
+    seen = information[:5, :5] - information[:5, 5:] @ np.linalg.solve(others, information[5:, :5]) - np.eye(5)
+    for _ in range(3000):
+        z = np.linalg.solve(information, A.T @ (A @ rng.normal(size=7) + rng.normal(size=40)))
+        chances.append(surprise(seen, z[:5])[2])
+        assert of_another_cell(log, information, z, 5) == ()
+    assert np.mean(np.array(chances) < 0.1) == pytest.approx(0.1, abs=0.02)
+    assert surprise(seen, z[:5])[1] == 4  # one is hardly seen
+    far = np.linalg.solve(information, A.T @ (A @ [0.0, 12.0, 0.0, 0.0, 0.0, 0.0, 0.0] + rng.normal(size=40)))
+    assert of_another_cell(log, information, far, 5)[0].startswith("force.csv: the fit needs wheel, blade and arm farther")
+    beside = np.linalg.solve(information, A.T @ (A @ [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 12.0] + rng.normal(size=40)))
+    assert of_another_cell(log, information, beside, 5) == ()  # what an effect may be off by is none of the cell's

@@ -99,7 +99,7 @@ def test_a_believed_delay_is_in_the_baseline_of_link_encoders(tmp_path):
     write_joint_folder(tmp_path, seed=2, delay=6e-3)
     believe(tmp_path, effect="channel_delay", s=4e-3)
     data = read_data_set(tmp_path)
-    channel = joint_channel(data.joints, data.setup.robot, data.payload, True, data.believed_by("joint"))
+    channel = joint_channel(data.joints, data.setup.robot, data.setup.hanging, True, data.believed_by("joint"))
     delay = library()["channel_delay"]
     found = channel.with_active((Active(delay, 0, np.zeros(1), {}, np.zeros((1, 1))),))
     assert abs(found.active[0].a[0] - 2e-3) < 1e-4 and found.gap().std() < 0.1 * channel.gap().std()

@@ -155,7 +155,7 @@ def test_no_gap_has_no_shrinkage():
 def test_two_recordings_with_a_zero_set_anew_give_the_lag_that_each_alone_gives(shared_data):
     data = read_data_set(shared_data / "real" / "kr300_two_recordings")
     assert data.joints.runs == ("FF_A", "FF_C")  # the link encoder of joint 1 is 512 arcsec apart
-    channel = joint_channel(data.joints, data.setup.robot, data.payload)
+    channel = joint_channel(data.joints, data.setup.robot, data.setup.hanging)
     best = diagnose_channels([channel], library()).ranking[0]
     assert best.name == Name("channel_delay", 0) and best.probability > 0.99
     # Companions that these recordings leave open (a coupled or rippled joint 1) move it by a quarter of its sd at most.

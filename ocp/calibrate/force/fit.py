@@ -13,6 +13,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import chdtrc
 
 from ocp.calibrate.force.log import Flags, ForceLog
 from ocp.calibrate.force.model import ForceModel, ForceRows
@@ -97,6 +98,7 @@ BIAS_SD = 1.0  # N where no calibration says; DIAGNOSIS: sensors are off by 0.1 
 # A fit may rest on a kink, where a row just bears: steps point across it and win nothing however short.
 RULE = Rule(25, rest=1e-3, reweighted=10, halvings=10, relaxed=True, valley=Valley(3, still=0.01, close=0.01, tries=200, lost=5))
 PRESSED = 0.3  # of the process force
+OTHER_CELL = 1e-9  # chance below which a log is not of a cell: far below what effects without a name make of it (1e-5)
 
 
 @dataclass(frozen=True)
@@ -163,6 +165,35 @@ def covariance_left(root: Array, information: Array) -> Array:
     r = root.shape[1]
     covariance = root @ np.linalg.inv(information)[:r, :r] @ root.T
     return np.asarray(0.5 * (covariance + covariance.T))
+
+
+def surprise(seen: Array, z: Array) -> tuple[float, int, float]:
+    """How unlike their prior a log finds unknowns z (r,) that are standard normal before it: chi-square of the directions that it
+    tells more of than the prior, how many these are, and the chance of more.
+
+    seen (r, r): what the log adds to their information. About the prior's mean its gradient g = (1 + seen) z has covariance
+    seen + seen^2; along eigenvectors of seen, with l > 1,
+
+        sum of g_i^2 / (l_i + l_i^2) = sum of z_i^2 (1 + 1 / l_i)                                                   (12)
+    """
+    size, vector = np.linalg.eigh(0.5 * (seen + seen.T))
+    told = size > 1.0
+    statistic = float(np.sum((vector.T @ z)[told] ** 2 * (1.0 + 1.0 / size[told])))
+    return statistic, int(told.sum()), float(chdtrc(max(int(told.sum()), 1), statistic))
+
+
+def of_another_cell(log: ForceLog, information: Array, z: Array, count: int) -> tuple[str, ...]:
+    """A sentence where a fit asks for more of its first `count` unknowns, the cell's, than they can be off by; information (k, k)
+    on all its standard normal unknowns z (k,), the prior's in."""
+    others = np.linalg.solve(information[count:, count:], information[count:, :count])
+    seen = information[:count, :count] - information[:count, count:] @ others - np.eye(count)
+    chance = surprise(np.asarray(seen), z[:count])[2]
+    if chance > OTHER_CELL:
+        return ()
+    return (
+        f"{log.path.name}: the fit needs wheel, blade and arm farther from the cell than cell and calibration allow (chance "
+        f"{chance:.1g}): of another cell, or something was moved or changed since; calibrate anew before you rely on it",
+    )
 
 
 def pressed_rows(model: ForceModel, log: ForceLog) -> Flags:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ocp.calibrate.force.fit import pressed_rows
+from ocp.calibrate.force.fit import of_another_cell, pressed_rows
 from ocp.calibrate.force.log import ForceLog
 from ocp.calibrate.force.noise import Whitener
 from ocp.calibrate.force.rows import ForceSetup, LogConditions, log_conditions, prepare_force
@@ -132,6 +132,11 @@ class ForceChannel:
             reading=np.concatenate([*place, far]),
             picked=picked_squares(self.waves) + self.trains.picked,
         )
+
+    @property
+    def surprises(self) -> tuple[str, ...]:
+        """What of the cell the fit has moved farther than cell and calibration allow, in words."""
+        return of_another_cell(self.log, self.fit.information, self.fit.z, self.problem.sizes[0])
 
     @property
     def noise_floor(self) -> float:
