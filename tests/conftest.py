@@ -20,6 +20,7 @@ from filelock import FileLock
 import ocp  # noqa: F401  one BLAS thread, before NumPy is first imported: two would fight on the core of each process
 
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # a hundred commands that tests start would compile all sources anew
+sys.dont_write_bytecode = False  # and each worker all tests with their asserts rewritten, a third of what collecting takes
 gc.set_threshold(50_000, 20, 20)  # as in a command: a tenth of the suite's time went by looking through what lives to the end
 # The longest files, longest first: two processes then end together, with short ones. Beside the first, which solves the bundled
 # blade and wheel for all, one that needs neither.
