@@ -153,6 +153,9 @@ class ColumnFunction:
     def library(self) -> ca.Function | None:
         """The machine code as a function of COLUMNS columns and the numbers; None where there is none or it must not be used."""
         try:
+            # Writing a function's C only to find that no plan of this machine was worth compiling takes longer than a short pass.
+            if c_compiler() is not None and not any(private_folder().glob(f"{self.name()}-*.so")):
+                raise _Unusable(_told.get(self.name()) or "not compiled yet")
             path = self.place()
             refused = _verdict(path)
             if refused is None:

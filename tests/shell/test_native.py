@@ -75,6 +75,14 @@ def test_functions_that_differ_in_their_numbers_share_a_library():
 
 
 @HAS_CC
+def test_no_c_is_written_to_tell_that_nothing_is_kept():
+    """Nor for the name of another function whose library is."""
+    compiled(name="other")
+    one = wave()
+    assert one.library is None and "source" not in vars(one) and "not compiled yet" in evaluated_by()
+
+
+@HAS_CC
 def test_two_that_compile_at_once_leave_one_whole_library():
     code = "from tests.shell.test_native import *; compile_together([wave()]); raise SystemExit(wave().library is None)"
     both = [subprocess.Popen([sys.executable, "-c", code], cwd=Path(__file__).parents[2]) for _ in range(2)]
