@@ -17,19 +17,18 @@ def elementary_weight_torques(
 ) -> Array:
     """Torques of weight about the axes (n, 6) N m, positive along +q, at postures q (n, 6) rad.
 
-    Sum over all bodies beyond a joint of axis . (lever x weight); `gravity` m/s^2, payload kg and m in the
-    flange frame.
+    Sum over all bodies beyond a joint of axis . (lever x weight), the weight being (0, 0, -m g); `gravity` m/s^2, payload kg and
+    m in the flange frame.
     """
     frames = elementary_frames(robot, q)
     bodies = [(i, robot.link_mass[i], robot.link_com[i]) for i in range(1, 7)]
     bodies.append((6, payload_mass, np.asarray(payload_com, float)))
-    torques = np.zeros((len(frames), 6))
+    axis, torques = frames[:, :6, :3, 2], np.zeros((len(frames), 6))
     for i, mass, com in bodies:
         point = (frames[:, i, :3, :3] @ com) + frames[:, i, :3, 3]
-        weight = np.array([0.0, 0.0, -mass * gravity])
-        for j in range(i):
-            moment = np.cross(point - frames[:, j, :3, 3], weight)
-            torques[:, j] += robot.sign[j] * np.sum(frames[:, j, :3, 2] * moment, axis=-1)
+        lever = point[:, None] - frames[:, :i, :3, 3]
+        turning = axis[:, :i, 1] * lever[:, :, 0] - axis[:, :i, 0] * lever[:, :, 1]
+        torques[:, :i] += mass * gravity * robot.sign[:i] * turning
     return torques
 
 
