@@ -144,9 +144,12 @@ def stack(channels: tuple[Channel, ...], put_back: Array) -> Stack:
 SIZES = 4  # of the grid of prior widths
 
 
+@lru_cache(maxsize=256)
 def size_grid(ratio: float) -> Array:
     """Prior widths (T,) as shares of the upper end, from `ratio` (lower over upper end) to 1."""
-    return np.geomspace(float(np.clip(ratio, 0.01, 0.5)), 1.0, SIZES)
+    grid = np.geomspace(float(np.clip(ratio, 0.01, 0.5)), 1.0, SIZES)
+    grid.setflags(write=False)  # a thousand families ask for a few dozens
+    return grid
 
 
 def log_evidence(G: Array, b: Array, sizes: Array, positive: Array, left: float, freedom: float) -> Array:
