@@ -245,7 +245,8 @@ def _frame_with_z(z: Array) -> Array:
     x = np.eye(3)[int(np.argmin(np.abs(z)))]
     x = x - z * (z @ x)
     x /= np.linalg.norm(x)
-    return np.stack([x, np.cross(z, x), z], axis=1)
+    (a, b, c), (d, e, f) = z.tolist(), x.tolist()  # their product of vectors by NumPy takes longer than all else here
+    return np.array([[d, b * f - c * e, a], [e, c * d - a * f, b], [f, a * e - b * d, c]])
 
 
 def enclosed(vertices: Array, faces: NDArray[np.int64], which: NDArray[np.int64]) -> NDArray[np.bool_]:
