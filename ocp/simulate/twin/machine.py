@@ -17,6 +17,7 @@ with hardening c3, windup h in the direction s of approach, and play b that the 
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import mujoco
 import numpy as np
@@ -221,9 +222,9 @@ class Laws:
     play: Array
     taken_up: Array
 
-    @property
+    @cached_property
     def plain(self) -> bool:
-        """Whether all springs are linear."""
+        """Whether all springs are linear; every posture asks."""
         return not (self.cubic.any() or self.windup.any() or self.play.any())
 
     def beyond(self, tau: Array, sign: Array) -> Array:
