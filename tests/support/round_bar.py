@@ -8,7 +8,7 @@ RADIUS = 0.08  # m of the round bar that plays the blade
 CONTACT = np.array([0.0, RADIUS, 0.0])
 
 
-def bar(length: float = 0.03, step: float = 4e-4, radius: float = RADIUS, upto: float = np.inf) -> SurfaceCloud:
+def bar(length: float = 0.021, step: float = 4e-4, radius: float = RADIUS, upto: float = np.inf) -> SurfaceCloud:
     """A round bar about the blade's x axis seen from +y; its points end at x = upto."""
     x = np.arange(-length, min(length, upto) + 1e-9, step)
     angle = np.arange(-length, length + 1e-9, step) / radius
