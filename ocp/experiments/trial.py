@@ -6,6 +6,7 @@ Each robot that is done is kept, so that a broken run goes on where it stopped.
 import json
 import tempfile
 from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -28,7 +29,7 @@ from ocp.model.cell import Cell
 from ocp.plan.passes.optimise import FILES, SolvedPass
 from ocp.shell.cache import code_hash, content_key, flattened, keep, rebuilt, recall
 from ocp.shell.executor import Hands, carried_out
-from ocp.shell.processes import nothing, workers
+from ocp.shell.processes import cores, nothing, workers
 from ocp.shell.progress import Phases
 from ocp.simulate.twin.arm import VirtualArm, make_arm
 from ocp.simulate.twin.contact.grinder import make_grinder
@@ -154,10 +155,8 @@ def run_trials(cell: Cell, mounts: Sequence[str], seeds: Sequence[int], poses: i
     courses = {mount: replace(course, compiled=len(missing) > 1) for mount, course in courses.items()}
     state: tuple[Any, ...] = ()
     if missing:
-        with workers(1, nothing) as pool:
-            contact = pool.submit(virtual_contact, next(iter(courses.values())))
-            nominal = {mount: compensated(course, None, course.tested) for mount, course in courses.items()}
-            state = courses, nominal, poses, contact.result()
+        nominal, contact = _for_all(courses)
+        state = courses, nominal, poses, contact
     with phases.phase("robots", len(seeds)) as advance:
         for _ in done:
             advance()
@@ -169,6 +168,16 @@ def run_trials(cell: Cell, mounts: Sequence[str], seeds: Sequence[int], poses: i
             keep("experiment", keys[trial.seed], flattened(trial))
             advance()
     return [done[seed] for seed in seeds]
+
+
+def _for_all(courses: dict[str, Course]) -> tuple[dict[str, list[SolvedPass]], VirtualContact]:
+    """What all robots start from: the passes as the believed cell has them, and the contact; in two processes unless there is
+    one core."""
+    first = next(iter(courses.values()))
+    with workers(1, nothing) if cores() > 1 else nullcontext() as pool:
+        waiting = None if pool is None else pool.submit(virtual_contact, first)
+        nominal = {mount: compensated(course, None, course.tested) for mount, course in courses.items()}
+        return nominal, virtual_contact(first) if waiting is None else waiting.result()
 
 
 def _recalled(key: str) -> Trial | None:
