@@ -29,7 +29,7 @@ from ocp.calibrate.force.fit import (
 from ocp.calibrate.force.log import ForceLog, read_force_log
 from ocp.calibrate.force.model import STATE, ForceModel, ForceRows, PlacedRows
 from ocp.calibrate.force.registration import ForceFit, fit_force, refuse_other_force
-from ocp.calibrate.force.rows import ForceSetup, measured_blade, prepare_force
+from ocp.calibrate.force.rows import ForceSetup, _model_of, measured_blade, prepare_force
 from ocp.calibrate.report.pages import contact_sections
 from ocp.data import CELL
 from ocp.model.cell import read_cell
@@ -163,6 +163,17 @@ def test_forces_by_machine_code_have_the_same_bits(recorded, tmp_path, monkeypat
     assert np.array_equal(reading_of(other, rows, x)[1], reading)
     assert np.array_equal(reading_jacobian(other, rows, x, F), reading_jacobian(model, rows, x, F))
     assert native.evaluated_by().startswith("machine code")
+
+
+def test_a_log_and_its_sealed_conditions_have_one_model(recorded):
+    """As the law that covers both is one; of another law, or another cell, there is another."""
+    cell, law = recorded.setup.model.cell, recorded.setup.model.law
+    first = _model_of(cell, law)
+    assert _model_of(cell, replace(law, low=law.low.copy())) is first
+    wider = replace(law, limits=law.limits | {"force": (1.0, 99.0)})
+    assert _model_of(cell, wider).law is wider
+    other = replace(cell)
+    assert _model_of(other, law).cell is other
 
 
 def test_setpoint_and_belt_hold_row_by_row(recorded):

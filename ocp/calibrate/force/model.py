@@ -117,6 +117,11 @@ class ForceModel:
         known = {name: ca.substitute(ca.densify(o), friction, self.cell.wheel.friction) for name, o in outputs.items()}
         return {name: ColumnFunction(ca.Function(f"force_{name}", arguments, [o], {"cse": True})) for name, o in known.items()}
 
+    @cached_property
+    def _compiled(self) -> None:
+        """Machine code of all functions, asked for once."""
+        compile_together(list(self._functions.values()))
+
     def evaluate(self, kind: str, rows: PlacedRows, F: Array) -> Array:
         """Numbers (n, k) at forces F (n,) N: "state" (columns `STATE`: residual m and its slope in F m/N, overlap m, the four
         parts m and their slopes m/N, arc rad, lateral m, turn rad, tilts, relative curvature 1/m, T_base_blade by rows, levers of
@@ -124,8 +129,8 @@ class ForceModel:
         the residual in F, theta (m) and q (6)) or "stroke" (the flange's derivative in theta at the same force)."""
         if not len(F):
             return np.empty((0, self._functions[kind].size1_out(0)))
-        if "_functions" not in vars(self) and len(F) >= WORTH_COMPILING:
-            compile_together(list(self._functions.values()))
+        if len(F) >= WORTH_COMPILING:
+            self._compiled  # noqa: B018
         base = rows.base
         return evaluate_rows(self._functions[kind], base.q, F[:, None], base.waypoint, rows.theta, base.belt[:, None])
 

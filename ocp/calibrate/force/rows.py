@@ -181,7 +181,7 @@ def prepare_force(cell: Cell, logs: Sequence[ForceLog]) -> ForceSetup:
     patch = _rounded(typical_patch(cell, cover, curvature))
     task = StationsTask.of(cell, blade, p, n, t, patch)
     law, stations = _side_by_side(task, lambda: _law(cell, cover, logs, turned, lateral, tilt))
-    model = ForceModel(cell, law)
+    model = _model_of(cell, law)
     compliance = np.zeros((len(touching), 3))
     compliance[touching] = stations.at(p, n, t)
     whole = ForceRows.joined(
@@ -218,6 +218,21 @@ def measured_blade(stl: Path, piece: Workpiece) -> Measured:
         _LAST.clear()
         _LAST[key] = rebuilt(Measured, entry)
     return _LAST[key]
+
+
+_LAST_MODEL: list[ForceModel] = []
+
+
+def _model_of(cell: Cell, law: WheelLaw) -> ForceModel:
+    """The model of a cell and a law; the last one is at hand: its functions take a second to write, and sealed conditions ask for
+    those of their log wherever its law covers them too."""
+    if not (_LAST_MODEL and _LAST_MODEL[0].cell is cell and _content(_LAST_MODEL[0].law) == _content(law)):
+        _LAST_MODEL[:] = [ForceModel(cell, law)]
+    return _LAST_MODEL[0]
+
+
+def _content(law: WheelLaw) -> str:
+    return content_key(*(part for pair in sorted(flattened(law).items()) for part in pair))
 
 
 def _cuts(logs: Sequence[ForceLog]) -> NDArray[np.int64]:
