@@ -109,7 +109,8 @@ def _write_programs(plan: Plan, folder: Path, phases: Phases) -> _Written:
     cell = plan.cell
 
     def table() -> None:
-        setpoint = cell.flange.setpoint if cell.flange is not None else np.nan
+        flange = cell.tables.force_flange  # as commanded: what it sets beyond that is in the cell's own
+        setpoint = flange.setpoint_N if flange is not None else np.nan
         more = [*plan.removal.columns(timeline), *accuracy_columns(plan.accuracy, plan.motion, timeline)]
         write_plan_csv(timeline, folder / "plan.csv", setpoint, more)
 

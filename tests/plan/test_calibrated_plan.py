@@ -1,5 +1,6 @@
 """A cell with a calibration, planned to the end: the written program holds its force on the calibrated cell."""
 
+import csv
 import json
 from dataclasses import replace
 
@@ -28,6 +29,7 @@ OFF = {
     "blade_z": 3e-4,
     "blade_b": 8e-4,
     "cover_stiffness_scale": 0.1,
+    "flange_setpoint_offset": 0.7,
 }
 
 
@@ -52,12 +54,18 @@ def both(small_plan_once, solved_once, tmp_path_factory):
     with undrawn():
         plain, told = small_plan_once[1], called(app, folder, "--cell", "cell.toml", *STEP)
     assert (plain.code, told.code) == (0, 0), told.err
-    return figures(small_plan_once[0]), figures(folder)
+    return figures(small_plan_once[0]), figures(folder), folder / "plan" / "plan.csv"
 
 
 def test_the_independent_route_sees_the_programmed_force_on_the_calibrated_cell(both):
     # Without the registration in the second route the force was 4 N off, and the plan was refused.
     assert both[1]["force_error_N"] < 0.1
+
+
+def test_a_plan_tells_what_the_flange_is_to_be_set_to(both):
+    """Not what it then sets: whoever enters that, or logs it, counts the calibration's offset twice."""
+    with both[2].open(newline="") as file:
+        assert {float(row["setpoint_N"]) for row in csv.DictReader(file)} == {20.0}
 
 
 def test_a_calibration_of_the_wheel_alone_says_nothing_of_the_arm():
@@ -72,7 +80,7 @@ def test_a_calibration_of_the_wheel_alone_says_nothing_of_the_arm():
 
 
 def test_a_calibration_makes_the_force_surer(both):
-    plain, calibrated = (b["force_sd_max_N"] for b in both)
+    plain, calibrated = (b["force_sd_max_N"] for b in both[:2])
     assert calibrated < 0.45 * plain
 
 
