@@ -14,7 +14,15 @@ from ocp.model.prepare import wheel_cover
 from ocp.plan.clearance import CollisionScene
 from ocp.plan.files import _verified
 from ocp.plan.passes.course import lengthened
-from ocp.plan.passes.optimise import GroundLines, PassesNear, PassWorker, refuse_ends, refuse_uneven_leads, rises_between
+from ocp.plan.passes.optimise import (
+    GroundLines,
+    PassesNear,
+    PassWorker,
+    TouchesElsewhere,
+    refuse_ends,
+    refuse_uneven_leads,
+    rises_between,
+)
 from ocp.plan.passes.posture import contact_poses, impossible, seeds_of_stretches
 from ocp.plan.passes.stretches import (
     HALVINGS,
@@ -361,6 +369,29 @@ def test_a_line_too_near_to_the_platform_is_tried_with_one_seed_and_cut_though_t
     led = replace(one, path=replace(one.path, room_before=0.01))
     found = worker.solve_stretch(led, 3 * [SimpleNamespace(direction=direction)], whole=True)
     assert len(tried) == 3 and tried[:2] == [True, False] and len(found.passes) == len(found.left_out) == 1
+
+
+@pytest.mark.parametrize(("turn", "limits"), [(0.001, [0.1]), (0.015, [0.1, 0.002]), (0.09, [0.1, 0.02, 0.002])])
+def test_a_smaller_turn_is_tried_only_where_the_wheel_stood_askew(monkeypatch, turn, limits):
+    """Else it is the same solution."""
+    tried, one = [], stretch()
+
+    def solved(self, problem):
+        tried.append(problem)
+        error = TouchesElsewhere.of(one.path, np.ones(len(one.path.s), bool), "touches", "use another wheel")
+        error.turn = min(turn, problem)
+        raise error
+
+    monkeypatch.setattr("ocp.plan.passes.optimise._from_seed", lambda path, seed, compliance: seed)
+    monkeypatch.setattr("ocp.plan.passes.optimise.replace", lambda whole, turn_limit: turn_limit)
+    monkeypatch.setattr(PassWorker, "_driven", lambda self, seed: "driven")
+    monkeypatch.setattr(PassWorker, "_whole_way", lambda self, seed, line, led: led)
+    monkeypatch.setattr(PassWorker, "_solve", solved)
+    worker, process = object.__new__(PassWorker), SimpleNamespace(turn_tolerance=0.1)
+    worker.ground, worker.scene = SimpleNamespace(cell=SimpleNamespace(effects=(), process=process), law=None), None
+    with pytest.raises(TouchesElsewhere):
+        worker.solve(one.path, [SimpleNamespace(direction=1)], one.compliance)
+    assert tried == pytest.approx(limits)
 
 
 def test_no_solved_pass_leaves_the_worker_without_room_beside_the_platform(monkeypatch):

@@ -114,6 +114,23 @@ def test_a_jolt_of_the_seed_is_driven_within_the_limit_of_jerk(monkeypatch):
     kept = solver.solve(problem)
     assert axis_use(cell, problem.way, free.q, free.rate)[:, 18:].max() > SPEED_SHARE
     assert axis_use(cell, problem.way, kept.q, kept.rate)[:, 18:].max() <= SPEED_SHARE + 1e-5
+    # A problem close by needs the rows too: it is not solved without them first.
+    plain, asked = solver._solve, []
+    monkeypatch.setattr(solver, "_solve", lambda *args, full: asked.append(full) or plain(*args, full=full))
+    again = solver.solve(replace(problem, indentation_correction=problem.indentation_correction + 1e-6), kept)
+    assert kept.limited and again.limited and all(asked) and len(asked) < 4
+    assert axis_use(cell, problem.way, again.q, again.rate)[:, 18:].max() <= SPEED_SHARE + 1e-5
+
+
+def test_machine_code_is_made_once_what_few_waypoints_take_would_pay_it(monkeypatch):
+    _, solver, problem = ready()
+    first, made = solver.solve(problem), []
+    monkeypatch.setattr(solver, "compile", lambda: made.append(len(solver._programs)))
+    monkeypatch.setattr("ocp.plan.passes.solve.LONG_TRIED", solver._iterated + 1)
+    assert solver._iterated > first.iterations
+    again = solver.solve(problem)
+    assert len(made) == 1 and made[0] > 0 and not solver._programs and again.objective == first.objective
+    assert solver.solve(problem).objective == first.objective and len(made) == 1 and solver._programs
 
 
 def test_hessian_and_jacobian_stay_banded():

@@ -213,8 +213,10 @@ class PassWorker:
         reasons: list[Infeasible] = []
         line = None if self.ground.cell.effects else looked  # with effects postures may go with the feed
         for seed in seeds[:FALLBACKS]:
-            problem = _from_seed(path, seed, compliance)
+            problem, turned = _from_seed(path, seed, compliance), np.inf
             for led, limit in ATTEMPTS if path.room_before or path.room_after else ATTEMPTS[1:]:
+                if limit * self.ground.cell.process.turn_tolerance > turned:  # it would be the same solution
+                    continue
                 try:
                     line = line or self._driven(problem)
                     whole = self._whole_way(problem, line, led)
@@ -223,10 +225,12 @@ class PassWorker:
                     refuse_uneven_leads(self.ground.cell, one, float(path.s[-1]))
                     return one
                 except Infeasible as error:
-                    turned = isinstance(error, CannotGrind) and seed.direction < 0
-                    reasons.append(error.turned_round(float(path.s[-1])) if isinstance(error, CannotGrind) and turned else error)
-                    if not led and not isinstance(error, TouchesElsewhere):
-                        break
+                    back = isinstance(error, CannotGrind) and seed.direction < 0
+                    reasons.append(error.turned_round(float(path.s[-1])) if isinstance(error, CannotGrind) and back else error)
+                    if not led:
+                        if not isinstance(error, TouchesElsewhere):
+                            break
+                        turned = error.turn
             if isinstance(reasons[-1], PassesNear):
                 break
             line = None
@@ -336,7 +340,9 @@ def refuse_unsound(
             f"the contact, {beside.depth * 1e3:.2f} mm deeper than planned (at most {SECONDARY_CONTACT_TOLERANCE * 1e3:.2f})"
         )
         where = beside.depths > SECONDARY_CONTACT_TOLERANCE
-        raise TouchesElsewhere.of(path, where, reason, f"use {_other_wheel(cell, beside)}, or larger margins", beside.index)
+        error = TouchesElsewhere.of(path, where, reason, f"use {_other_wheel(cell, beside)}, or larger margins", beside.index)
+        error.turn = float(np.abs(solved.turn).max())
+        raise error
     if cell.flange is not None:
         # Parts are along the normal, of which the flange's axis has a share (docs/model.md, eq. 3).
         share, limit = cell.flange_shares(path.n), 0.5 * cell.flange.stroke - STROKE_RESERVE

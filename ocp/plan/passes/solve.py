@@ -46,6 +46,7 @@ from trajectories.passes import BladePath
 
 PAD = 32  # programs are built for multiples of this many waypoints, short ones of half, and shared by passes of similar length
 AIM_STEPS = 2  # each leaves a thousandth of the miss
+LONG_TRIED = 60_000  # iterations of nodes that the virtual machine does before machine code is made: half a minute
 RELINEARISED = 4  # solutions with axis limits, each with the torque linear about the one before
 LEAST_RATE = 0.05  # of the nominal one
 RATIO_RANGE = (0.7, 1.3)  # of force over feed over its programmed value
@@ -73,7 +74,8 @@ REMEDIES = (
 @dataclass(frozen=True)
 class PassSolution:
     """Joints (n, 6), rate of the path parameter (n,), force over feed (n,), each over its nominal one, and force (n,) N of a
-    pass, how Ipopt got there, and its multipliers at the nodes, of bounds (n, N_Z) and of rows, for a start close by."""
+    pass, how Ipopt got there, and its multipliers at the nodes, of bounds (n, N_Z) and of rows, for a start close by; limited:
+    with the rows of clearance and axis limits."""
 
     q: Array
     rate: Array
@@ -82,6 +84,7 @@ class PassSolution:
     iterations: int
     objective: float
     multipliers: tuple[Array, Array] | None = None
+    limited: bool = False
 
 
 @dataclass(frozen=True)
@@ -130,6 +133,7 @@ class PassSolver:
         self.stage: Stage = build_stage(cell, self.model, weights, theta, folded)
         vars(self.stage).update(derived or {})
         self._programs: dict[tuple[int, bool], Transcription] = {}
+        self._iterated = 0
         m = self.model
         slope = ca.jacobian(m.residual, m.F)
         known = [m.delta, m.residual, m.parts, m.arc, m.lateral, m.turn, m.tilt, m.curvature]
@@ -182,12 +186,13 @@ class PassSolver:
         return self._programs[key]
 
     def solve(self, problem: PassProblem, start: PassSolution | None = None) -> PassSolution:
-        """Joints that hold the programmed force along the pass; `start` is the solution of a problem close by.
+        """Joints that hold the programmed force along the pass; `start` is the solution of a problem close by, which needed the
+        rows that this one needs.
 
         Raises Infeasible naming waypoint, constraint and amount.
         """
         try:
-            solution = self._solve(problem, start, full=False)
+            solution = self._solve(problem, start, full=start is not None and start.limited)
         except Infeasible:
             if start is None:
                 raise
@@ -249,6 +254,7 @@ class PassSolver:
             data |= {name: np.pad(values, beyond, "edge").ravel() for name, values in both}
         result = solver(**data)
         stats = solver.stats()
+        self._count(int(stats["iter_count"]) * program.n)
         x = np.asarray(result["x"]).reshape(program.n, N_Z)[:n]
         g = np.asarray(result["g"]).ravel()
         refuse_violated(path, np.maximum(lbg - g, g - ubg), full, stats["return_status"])
@@ -260,7 +266,15 @@ class PassSolver:
         found = [np.asarray(result[name]).reshape(program.n, -1)[:n] for name in ("lam_x", "lam_g")]
         multipliers = None if full else (found[0], found[1])
         force = self.nominal_force(problem) * x[:, 6] * x[:, 7]
-        return PassSolution(x[:, :6], x[:, 6], x[:, 7], force, int(stats["iter_count"]), float(result["f"]), multipliers)
+        return PassSolution(x[:, :6], x[:, 6], x[:, 7], force, int(stats["iter_count"]), float(result["f"]), multipliers, full)
+
+    def _count(self, iterations: int) -> None:
+        """Of nodes: few waypoints that cannot be ground are tried so often that machine code, of the same bits, pays too."""
+        before = self._iterated
+        self._iterated += iterations
+        if before < LONG_TRIED <= self._iterated:
+            self.compile()
+            self._programs.clear()
 
     def _bounds(self, problem: PassProblem, n: int) -> tuple[Array, Array]:
         """Bounds of the variables: axis limits with margin, the seed's side of wrist and elbow, the force."""

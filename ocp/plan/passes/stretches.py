@@ -25,7 +25,8 @@ class CannotGrind(Infeasible):
 
     line, side, start: whose, and where on the line it begins, m; at (m,): arc lengths m on the path that was tried, in its
     direction of travel, that cannot be ground (none: the place is not known); waypoint: 0-based, the one that the sentence
-    names; reason and would_do: two parts of a sentence; others: of other passes, told with this one.
+    names; reason and would_do: two parts of a sentence; others: of other passes, told with this one; turn rad: by how much the
+    wheel stood askew at most, inf where that is no matter.
     """
 
     def __init__(self, message: str, **told: Any) -> None:
@@ -39,6 +40,7 @@ class CannotGrind(Infeasible):
         self.reason: str = told.get("reason", message)
         self.would_do: str = told.get("would_do", "")
         self.others: list[CannotGrind] = told.get("others", [])
+        self.turn: float = told.get("turn", np.inf)
 
     @classmethod
     def of(cls, path: BladePath, where: Mask, reason: str, would_do: str, worst: int | None = None, message: str = "") -> Self:
