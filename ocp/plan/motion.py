@@ -64,7 +64,7 @@ def build_motion(
 ) -> PlannedMotion:
     """Order the passes for short travel, join them by free moves and time everything.
 
-    Raises Infeasible: no free way between two passes, or a limit that cannot be held.
+    Raises Infeasible: no free way through the air, or a limit that cannot be held.
     """
     payload = cell.workpiece.payload
     limits = Limits.of(cell.robot, partial(inverse_dynamics, cell.robot, payload.mass, payload.com), LIMIT_SHARE)
@@ -246,7 +246,7 @@ def travel(cell: Cell, scene: CollisionScene, start: tuple[Array, Array], goal: 
     found = connect(scene, cell.robot.q_min, cell.robot.q_max, qa, qb)
     if found is None:
         clearance = scene.clearance(dense(direct), in_contact=False)
-        raise Infeasible(f"no free way between two passes: on the straight move {clearance.sentence()}; move the wheel")
+        raise Infeasible(f"no free way through the air: on the straight move {clearance.sentence()}; move the wheel")
     return found
 
 

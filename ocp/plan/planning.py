@@ -277,8 +277,9 @@ def reachable_motion(
             if whole:
                 raise
             solved = left_out_too(solved, [error])
+    worst = max(joined(solved.left_out), key=lambda one: one.length)
     raise Infeasible(
-        f"nothing of the blade can be ground: {solved.left_out[0].clause()}; what of the cell looks wrong says "
+        f"nothing of the blade can be ground: {worst.clause()}; what of the cell looks wrong says "
         f"python -m ocp.cell check {cell.path}"
     )
 

@@ -233,7 +233,7 @@ def test_the_pass_is_left_out_that_the_arm_cannot_come_to_or_leave(cell, monkeyp
 
     def stuck(cell, scene, start, goal):
         if next(ways) == blocked:
-            raise Infeasible("no free way between two passes: box and arm overlap; move the wheel")
+            raise Infeasible("no free way through the air: box and arm overlap; move the wheel")
         return np.array([start[0], goal[0]])
 
     monkeypatch.setattr(motion, "travel", stuck)
@@ -241,7 +241,7 @@ def test_the_pass_is_left_out_that_the_arm_cannot_come_to_or_leave(cell, monkeyp
     passes = invented_passes()
     order = motion._order(cell, [(p.solution.q[0], p.solution.q[-1]) for p in passes])
     path = passes[order[lost]].problem.path
-    with pytest.raises(CannotGrind, match="no free way between two passes: box and arm overlap") as refused:
+    with pytest.raises(CannotGrind, match="no free way through the air: box and arm overlap") as refused:
         build_motion(cell, wall([100, 0], [110, 10]), passes)
     assert refused.value.line == path.line and len(refused.value.at) == len(path.s)
 

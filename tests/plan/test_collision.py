@@ -9,6 +9,7 @@ import pytest
 
 from ocp.plan.clearance import BASE_PLANE, Clearance, CollisionScene
 from ocp.plan.rules import ARM_MARGIN, BLADE_MARGIN, FLOOR_BELOW_WHEEL, HOLDER_RADIUS, HOLDER_SHARE
+from robots.errors import BadInput
 from robots.inverse import inverse_branches
 from robots.kinematics import forward
 from robots.pose import apply, rotation_from_abc
@@ -26,6 +27,14 @@ def cell():
 @pytest.fixture(scope="module")
 def scene(cell):
     return CollisionScene(cell, BLOCK)
+
+
+@pytest.mark.parametrize(
+    "flat", [np.diag([1.0, 1.0, 0.0]), np.diag([0.0, 1.0, 0.0]), np.array([[1, 0, 0], [0, 1, 0], [1, -2, 0]])]
+)
+def test_a_blade_without_a_volume_is_refused_before_a_library_ends_the_process(cell, flat):
+    with pytest.raises(BadInput, match="the blade's points lie in a plane; give a solid"):
+        CollisionScene(cell, BLOCK @ flat + [0.1, 0.2, 0.3])
 
 
 def test_flange_pose_turns_the_holder_back(cell):

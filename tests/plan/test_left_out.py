@@ -39,7 +39,7 @@ from ocp.plan.passes.stretches import (
     ungrindable_notices,
     whole_lines,
 )
-from ocp.plan.planning import left_out_too, softer_notices
+from ocp.plan.planning import left_out_too, reachable_motion, softer_notices
 from ocp.plan.readback import force_error
 from ocp.plan.removal.footprint import CELL, LinePatches
 from ocp.plan.rules import FLANGE_FORCE_TOLERANCE, LEAST_STRETCH, SEED_INDENTATION, STRETCH_ROOM
@@ -516,3 +516,9 @@ def test_a_rise_is_solved_closer_where_the_table_misses_unevenly():
     assert set(between) <= {*range(1, 10), *range(21, 39)} and len({*between}) == len(between)
     assert {int(force[k + 1]) for k in between} == {*range(5, 10), *range(15, 21)}
     assert len(rises_between(force, index, ~rough[[0, 0, 0]])) == 0
+
+
+def test_where_nothing_can_be_ground_the_longest_piece_says_why():
+    lost = [LeftOut(1, "convex", 0.0, 0.004, "the end", "ends"), LeftOut(2, "convex", 0.03, 0.12, "the middle", "middles")]
+    with pytest.raises(Infeasible, match="nothing of the blade can be ground: line 2 .* 30.0 to 120.0 mm, .*: the middle"):
+        reachable_motion(bundled_cell(), None, GroundLines([], lost), False, lambda: None)

@@ -185,6 +185,11 @@ def test_stray_parts_are_dropped_and_two_bodies_refused(tmp_path, sample):
     assert "2 separate bodies" in text and "mm" in text
 
 
+def test_facets_on_a_line_are_no_blade(tmp_path):
+    line = np.outer(np.arange(12.0), [1.0, 2.0, 0.5]) * 1e-3
+    assert "no facet has an area" in refusal(write(tmp_path, line, np.array([[k, k + 1, k + 2] for k in range(10)])))
+
+
 def test_a_large_hole_is_refused_with_its_place(tmp_path, sample):
     vertices, faces = sample
     centres = vertices[faces].mean(axis=1)

@@ -142,7 +142,7 @@ def unify_winding(name: str, vertices: Array, faces: IntArray, notices: list[str
 def keep_main_body(name: str, vertices: Array, faces: IntArray, notices: list[str]) -> IntArray:
     """The one large connected body; stray small parts are dropped with a notice.
 
-    Raises: BadInput when two bodies are of comparable size.
+    Raises: BadInput when two bodies are of comparable size, or no facet has an area.
     """
     edges = directed_edges(faces)
     graph = coo_array((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), (len(vertices), len(vertices)))
@@ -151,6 +151,8 @@ def keep_main_body(name: str, vertices: Array, faces: IntArray, notices: list[st
     area = np.bincount(body, facet_normals(vertices, faces)[1], minlength=count)
     order = np.argsort(-area)
     order = order[area[order] > 0]
+    if len(order) == 0:
+        raise BadInput(f"{name}: no facet has an area, their corners lie on lines; export a closed solid.")
     if len(order) == 1:
         return faces
     main = order[0]
