@@ -264,7 +264,7 @@ def compare_methods(
     off = {method: vectors[order] for method, vectors in off.items()}
     believed = _off(c, before(c, fit.choice))[rows[order]]
     size = {method: np.linalg.norm(vectors, axis=1) for method, vectors in off.items()}
-    earlier = None if known is None else _error_of(c, fit.choice, known, rows)
+    earlier = None if known is None else _error_of(c, known, rows)
     return MethodTable(rows[order], np.linalg.norm(believed, axis=1), earlier, size, believed, off)
 
 
@@ -273,13 +273,13 @@ def _off(c: Campaign, state: State) -> Array:
     return residuals(c.robot, c.readings, c.instrument, state)[:, :3]
 
 
-def _error_of(c: Campaign, choice: Choice, known: Calibration, rows: Array) -> float | None:
+def _error_of(c: Campaign, known: Calibration, rows: Array) -> float | None:
     """`MethodTable.earlier`: readings that a calibration was fitted to it meets too well, so how it met those left out must be
     told too."""
     told = known.held_out_error
     if not len(rows) or told is None:
         return None
-    return max(float(errors_as_calibrated(c, known, choice)[rows].mean()), told)
+    return max(float(errors_as_calibrated(c, known)[rows].mean()), told)
 
 
 def doubts_about(c: TrackerCalibration) -> list[str]:

@@ -87,10 +87,10 @@ def tracker_channel(data: DataSet) -> TrackerChannel:
 
 def of_another_arm(channels: Sequence[Channel]) -> Iterator[str]:
     """A sentence where the cell's own calibration misses the readings by far more than it told of those left out of its own."""
-    for one in (c for c in channels if isinstance(c, TrackerChannel) and c.missed > OFF_AS_CALIBRATED):
+    for one in (c for c in channels if isinstance(c, TrackerChannel) and c.one_arm is False):
         yield (
-            f"{one.readings.path.name}: the cell's calibration misses these readings by {one.missed:.1f} times what it missed "
-            "readings left out of its own by: what is named came since, or the arm is another one, or was mastered anew"
+            f"{one.readings.path.name}: the cell's calibration misses these readings by over {OFF_AS_CALIBRATED:g} times what it "
+            "missed readings left out of its own by: what is named came since, or the arm is another one, or was mastered anew"
         )
 
 
@@ -324,9 +324,8 @@ class Shown:
 def lean(answer: Answer) -> Answer:
     """An answer with no more of its channels than the report shows."""
     gaps = tuple(replace(gap, baseline=_shown(gap.baseline), corrected=_shown(gap.corrected)) for gap in answer.gaps)
-    before, after = tuple(g.baseline for g in gaps), tuple(g.corrected for g in gaps)
     patch = None if answer.patch is None else replace(answer.patch, channel=_shown(answer.patch.channel))
-    found = replace(answer.diagnosis, baseline=before, channels=after)
+    found = replace(answer.diagnosis, baseline=tuple(g.baseline for g in gaps), channels=tuple(g.corrected for g in gaps))
     return replace(answer, gaps=gaps, diagnosis=found, asked=dict.fromkeys(answer.asked), fitted=(), unknown=None, patch=patch)
 
 

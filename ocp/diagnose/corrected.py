@@ -15,7 +15,6 @@ import numpy as np
 from ocp.diagnose.dataset import CELL, DataSet
 from ocp.diagnose.engine.channel_system import Channel
 from ocp.diagnose.force.prior import posterior_of
-from ocp.diagnose.rules import OFF_AS_CALIBRATED
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.diagnose.verdict.answer import Answer, known_beside
 from ocp.diagnose.verdict.shrinkage import Shrinkage
@@ -108,7 +107,7 @@ def calibration_of(channels: Mapping[str, Channel], data: DataSet, written: Sequ
         told, station = _provenance(channel) | {"readings": len(channel.readings)}, int(np.unique(channel.readings.station)[0])
         arm = posterior_of(data.setup.robot.name, channel.task.layout, channel.fit, station, told)
         if "force" not in channels:
-            return carried_over(arm, known, channel.missed < OFF_AS_CALIBRATED)
+            return carried_over(arm, known, channel.one_arm)
     return carried_over(_of_contact(channels, data, written), known if arm is None else arm) if "force" in channels else None
 
 

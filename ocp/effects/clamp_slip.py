@@ -14,7 +14,7 @@ import numpy as np
 
 from ocp.effects.context import ContactContext
 from ocp.effects.effect import Effect, Parameter, Scanned, Surroundings
-from ocp.effects.forms import AT_S, after, row, steps, steps_between_runs
+from ocp.effects.forms import AT_S, INSTANTS, after, row, steps
 from robots.pose import Array
 
 NOWHERE = (0.0, 0.0, 0.0)
@@ -23,7 +23,7 @@ NOWHERE = (0.0, 0.0, 0.0)
 def _scan(joint: int, seen: Surroundings) -> Sequence[Scanned]:
     sides = [NOWHERE, *(seen.sides[:1] if len(seen.sides) > 1 else ())]
     # A log of many short runs stands still between them for most of its time.
-    between = steps_between_runs(joint, seen) if len(seen.breaks) else []
+    between = [{"at_s": float(t)} for t in seen.breaks][: 4 * INSTANTS]
     return [{"at_s": s["at_s"], "side": side} for side in sides for s in (*steps(joint, seen), *between)]
 
 

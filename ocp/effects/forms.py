@@ -201,8 +201,10 @@ def steps(joint: int, seen: Surroundings) -> Sequence[Scanned]:
 
 
 def steps_between_runs(joint: int, seen: Surroundings) -> Sequence[Scanned]:
-    """Instants between runs and sessions where known, else anywhere."""
-    return [{"at_s": float(t)} for t in (np.asarray(seen.breaks) if len(seen.breaks) else instants(seen.time))][: 4 * INSTANTS]
+    """Instants between runs and sessions where known, else anywhere; the first row too where a break is given there."""
+    known = np.asarray(seen.breaks, float)
+    inside = len(known) and known.max() > np.nanmin(seen.time)
+    return [{"at_s": float(t)} for t in (known if inside else np.append(known, instants(seen.time)))][: 4 * INSTANTS]
 
 
 def shifted_by_time(x: LogRows, signal: Array, delay: float) -> Array:

@@ -29,7 +29,7 @@ from robots.kinematics import link_frames
 from robots.pose import Array, apply, invert
 
 BASE_PLANE = "plane of the base"
-FLAT = 1e-7  # of a blade's size: thinner than that it is a sheet
+FLAT = 1e-5  # of a blade's size, a micrometre: thinner than that it is a sheet, which numbers of a file make rough
 SPARE = 1e-4  # m; distances between shapes are iterated to a hundredth of it
 SLACK = 1e-6  # m by which a first look takes more points than count; products of lengths below 10 m are good to 1e-8
 SLANT = np.radians(60.0)  # of the other rays from a facet off its normal
@@ -186,7 +186,9 @@ def _bodies(cell: Cell, vertices: Array) -> list[Body]:
     root = T[:3, :3] @ held.mean(axis=0) + T[:3, 3]
     placement, length = _between(np.zeros(3), HOLDER_SHARE * root)
     bodies.append(Body("holder", 6, coal.Capsule(HOLDER_RADIUS, max(length - HOLDER_RADIUS, 1e-3)), placement))
-    if np.linalg.matrix_rank(vertices - vertices.mean(axis=0), FLAT * np.ptp(vertices)) < 3:  # coal ends the process
+    middle = vertices - vertices.mean(axis=0)
+    across = np.ptp(middle @ np.linalg.eigh(middle.T @ middle)[1], axis=0)
+    if not across.min() > FLAT * across.max():  # coal ends the process
         raise BadInput(f"{cell.workpiece.stl}: the blade's points lie in a plane; give a solid")
     points = coal.StdVec_Vec3s()
     points.extend(list(np.asarray(vertices, float)))

@@ -216,12 +216,14 @@ class ColumnFunction:
         return "" if same.all() else f"{self.name()} as machine code differs in {np.sum(~same)} of {len(same)} numbers"
 
 
-def compile_together(functions: Sequence[ColumnFunction]) -> None:
-    """Compile what is not kept yet, side by side; what cannot be compiled the virtual machine does.
+def compile_together(functions: Sequence[ColumnFunction], quietly: bool = False) -> None:
+    """Compile what is not kept yet, side by side; what cannot be compiled the virtual machine does. quietly: what is told of it
+    stays, where that must not depend on which process compiled.
 
     The smallest goes first: where that cannot be compiled or loaded, the large ones are not tried.
     """
-    _told.pop(_UNCOMPILED, None)
+    if not quietly:
+        _told.pop(_UNCOMPILED, None)
     missing = sorted((one for one in functions if one.library is None and one.absent()), key=ColumnFunction.n_instructions)
     for together in (missing[:1], missing[:0:-1]):
         with ThreadPoolExecutor(cores()) as pool:  # threads only wait: CasADi's own objects are for one at a time

@@ -138,9 +138,10 @@ def before(campaign: Campaign, choice: Choice = PLAIN) -> State:
     return located(c, nominal_state(c.robot, c.readings, c.payloads, c.instrument, choice))
 
 
-def errors_as_calibrated(campaign: Campaign, known: Calibration, choice: Choice = PLAIN) -> Array:
+def errors_as_calibrated(campaign: Campaign, known: Calibration) -> Array:
     """Errors (n,) m of all readings by an arm as `known` has it, with the tracker and its nests placed by them."""
-    c = campaign
+    c, bending = campaign, known.bending_joints
+    choice = PLAIN if bending is None else Choice(joints=bending)
     state = nominal_state(c.robot, c.readings, c.payloads, c.instrument, choice)
     arm = state.arm.copy()
     for i, name in enumerate(ARM_NAMES):

@@ -527,6 +527,8 @@ def test_how_unlike_its_cell_a_log_is(weak):
     assert np.mean(np.array(chances) < 0.1) == pytest.approx(0.1, abs=0.02)
     assert surprise(seen, z[:5])[1] == 4  # one is hardly seen
     far = np.linalg.solve(information, A.T @ (A @ [0.0, 12.0, 0.0, 0.0, 0.0, 0.0, 0.0] + rng.normal(size=40)))
-    assert of_another_cell(log, information, far, 5)[0].startswith("force.csv: the fit needs wheel, blade and arm farther")
+    assert of_another_cell(log, information, far, 5)[0].startswith(
+        "force.csv: the fit needs wheel, blade, arm, stiffnesses or sensor farther"
+    )
     beside = np.linalg.solve(information, A.T @ (A @ [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 12.0] + rng.normal(size=40)))
     assert of_another_cell(log, information, beside, 5) == ()  # what an effect may be off by is none of the cell's

@@ -318,3 +318,13 @@ def test_deviations_over_variants_are_mean_squares_about_the_value_phases_the_sh
     within = 0.75 * 1e-12 / 1e-8 + 0.25 * 1e-12 / 1.44e-8
     assert found["phase_rad"] == pytest.approx(np.sqrt(within + 0.25 * turned**2), rel=1e-3)
     assert "order" not in deviations_among(of(8, 1e-4, 3.1), [(1.0, of(8, 1e-4, 3.1))])
+
+
+def test_a_frame_that_moved_may_have_done_so_before_the_first_row_or_inside_a_single_run():
+    """A break at the first row takes no other instant away; where runs have breaks between them it is one of these."""
+    for breaks, count in (([], 40), ([3.0], 41), ([3.0, 50.0], 2)):
+        seen = replace(SEEN, time=np.linspace(3.0, 103.0, 500), breaks=np.array(breaks))
+        for name in ("wheel_frame_shift", "clamp_slip"):
+            at = [one["at_s"] for one in library()[name].scan(0, seen) if not any(one.get("side", ()))]
+            assert len(at) == len(set(at)) == (count if name == "wheel_frame_shift" else 40 + len(breaks))
+            assert (3.0 in at) == (3.0 in breaks)

@@ -29,7 +29,7 @@ OFF = {
     "blade_z": 3e-4,
     "blade_b": 8e-4,
     "cover_stiffness_scale": 0.1,
-    "flange_setpoint_offset": 0.7,
+    "flange_setpoint_offset": 0.02,
 }
 
 

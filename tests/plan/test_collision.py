@@ -37,6 +37,14 @@ def test_a_blade_without_a_volume_is_refused_before_a_library_ends_the_process(c
         CollisionScene(cell, BLOCK @ flat + [0.1, 0.2, 0.3])
 
 
+def test_a_sheet_as_rough_as_the_numbers_of_a_file_is_no_blade(cell):
+    """A slanted one in single precision is some nanometres thick."""
+    rng = np.random.default_rng(3)
+    sheet = rng.uniform(-0.5, 0.5, (3000, 3)) * [0.2, 0.06, 0.0] @ np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    with pytest.raises(BadInput, match="lie in a plane"):
+        CollisionScene(cell, sheet.astype(np.float32).astype(float))
+
+
 def test_flange_pose_turns_the_holder_back(cell):
     T = blade_before_wheel(cell, 0.05)
     q = joints_of(cell, T)

@@ -191,8 +191,9 @@ def of_another_cell(log: ForceLog, information: Array, z: Array, count: int) -> 
     if chance > OTHER_CELL:
         return ()
     return (
-        f"{log.path.name}: the fit needs wheel, blade and arm farther from the cell than cell and calibration allow (chance "
-        f"{chance:.1g}): of another cell, or something was moved or changed since; calibrate anew before you rely on it",
+        f"{log.path.name}: the fit needs wheel, blade, arm, stiffnesses or sensor farther from the cell than that and its "
+        f"calibration allow (chance {chance:.1g}): of another cell, or something was moved or changed since; calibrate anew "
+        "before you rely on it",
     )
 
 

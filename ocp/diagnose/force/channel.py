@@ -136,7 +136,7 @@ class ForceChannel:
     @property
     def surprises(self) -> tuple[str, ...]:
         """What of the cell the fit has moved farther than cell and calibration allow, in words."""
-        return of_another_cell(self.log, self.fit.information, self.fit.z, self.problem.sizes[0])
+        return of_another_cell(self.log, self.fit.information, self.fit.z, self.problem.sizes[0]) if self.fit.rested else ()
 
     @property
     def noise_floor(self) -> float:

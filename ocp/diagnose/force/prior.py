@@ -74,7 +74,7 @@ def arm_with_effects(tracker: TrackerChannel, active: Sequence[Active]) -> Calib
     What the cell's calibration knows besides goes with it."""
     made = tracker.with_active(tuple(a for a in active if a.effect.on_arm))
     found = posterior_of(made.task.campaign.robot.name, made.task.layout, made.fit)
-    return carried_over(found, tracker.known, tracker.missed < rules.OFF_AS_CALIBRATED)
+    return carried_over(found, tracker.known, made.one_arm)
 
 
 def posterior_of(

@@ -9,7 +9,7 @@ import numpy as np
 
 from ocp.diagnose.engine.channel_system import UNSEEN, Fold, HeldOut, ReadingConditions, Sealed, System, Variants
 from ocp.diagnose.engine.kernels import measured_ranges
-from ocp.diagnose.rules import BACKGROUND_SIZES, LEAST_CHANGES, LEAST_GROUP, PLACE_SURE, UNEVEN
+from ocp.diagnose.rules import BACKGROUND_SIZES, LEAST_CHANGES, LEAST_GROUP, OFF_AS_CALIBRATED, PLACE_SURE, UNEVEN
 from ocp.diagnose.tracker.background import Background, background
 from ocp.diagnose.tracker.held_out import held_out_readings, predict_sealed_readings, tracker_folds
 from ocp.diagnose.tracker.refit import Task, TrackerFit, gap_noise, is_restless, refit, relearned, settled
@@ -113,14 +113,14 @@ class TrackerChannel:
         return min(sure, key=lambda one: one.p_value, default=None)
 
     @cached_property
-    def missed(self) -> float:
-        """Mean error of the readings, outliers apart, by the arm as the cell's calibration has it, over what that told of those
-        left out of its own campaign; zero where it told nothing."""
-        task, told = self.task, None if self.known is None else self.known.held_out_error
-        if self.known is None or told is None:
-            return 0.0
-        bare = without_effects(task.campaign, self.fit.state, task.believed, task.reference) if task.believed else task.campaign
-        return float(errors_as_calibrated(bare, self.known)[self.fit.weight > GROSS].mean()) / told
+    def one_arm(self) -> bool | None:
+        """Whether, but for the effects in the prediction, the arm may be that of the cell's calibration: mean error of the
+        readings by it, outliers apart, over what it told of readings left out of its own campaign; None where it told nothing."""
+        task, told, good = self.task, None if self.known is None else self.known.held_out_error, self.fit.weight > GROSS
+        if self.known is None or told is None or not good.any():
+            return None
+        bare = without_effects(task.campaign, self.fit.state, (*task.believed, *self.active), task.reference)
+        return float(errors_as_calibrated(bare, self.known)[good].mean()) < OFF_AS_CALIBRATED * told
 
     def restless(self, scale: float) -> bool:
         """Whether `scale` times the joint noise that the residual asks for is far above what such joints usually scatter."""

@@ -212,6 +212,8 @@ def together(active: Sequence[Active], seen: PlacedReadings) -> tuple[list[Array
 def without_effects(campaign: Campaign, state: State, effects: Sequence[Active], reference: float) -> Campaign:
     """The campaign that an arm without these effects would have given, to first order about a state: joints where the effects
     take them, reflectors without what comes on top. reference deg C: of the cell."""
+    if not effects:
+        return campaign
     r = campaign.readings
     shift, displacement = effects_on(campaign, r, r.point, state, effects, reference)
     return replace(campaign, readings=replace(r, q=r.q + shift, point=r.point - displacement))

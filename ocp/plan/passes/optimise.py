@@ -486,7 +486,7 @@ def compiled_solver(cell: Cell, law: WheelLaw, theta: Theta, weights: ObjectiveW
     if sum(len(path.s) for path in paths) >= WORTH_COMPILING:
         solver.compile()
     else:
-        left_uncompiled(f"machine code is made for {WORTH_COMPILING} waypoints and more")
+        left_uncompiled(f"machine code is made for {WORTH_COMPILING} waypoints and more, or what is tried long")
     return solver
 
 

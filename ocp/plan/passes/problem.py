@@ -74,7 +74,8 @@ class PassProblem:
         blocks |= {"approach": np.zeros((n, 6)) if self.approach is None else self.approach, "speed": np.zeros((n, 6))}
         blocks |= {name: float(getattr(c, name)) for name in ("ground_before", "time", "clock", "warm", "wheel_warm")}
         blocks |= {"belt": cell.wheel.belt_speed}
-        blocks |= {"setpoint": cell.process.force if cell.flange is None else cell.flange.setpoint}
+        flange = cell.tables.force_flange  # as commanded, as in logs
+        blocks |= {"setpoint": cell.process.force if flange is None else flange.setpoint_N}
         return CONDITIONS.stack(n, blocks)
 
     def named_conditions(self, cell: Cell) -> dict[str, Array]:

@@ -149,9 +149,9 @@ class PassSolver:
         own.cell, own.law, own.limits, own.theta, own._root = cell, law, law.limits, theta, scatter_root(theta)
         return own
 
-    def compile(self) -> None:
-        """Have machine code made of what a pass evaluates, where there is none yet."""
-        compile_together([*self.stage.functions, self._evaluate])
+    def compile(self, quietly: bool = False) -> None:
+        """Have machine code made of what a pass evaluates, where there is none yet; quietly: `compile_together`."""
+        compile_together([*self.stage.functions, self._evaluate], quietly)
 
     def evaluate(self, problem: PassProblem, q: Array, force: Array) -> Evaluation:
         """The model at joints q (n, 6) and forces (n,)."""
@@ -272,8 +272,8 @@ class PassSolver:
         """Of nodes: few waypoints that cannot be ground are tried so often that machine code, of the same bits, pays too."""
         before = self._iterated
         self._iterated += iterations
-        if before < LONG_TRIED <= self._iterated:
-            self.compile()
+        if before < LONG_TRIED <= self._iterated and self._evaluate.library is None:
+            self.compile(quietly=True)
             self._programs.clear()
 
     def _bounds(self, problem: PassProblem, n: int) -> tuple[Array, Array]:
