@@ -279,9 +279,9 @@ def test_the_optimiser_stays_off_the_ends_of_axes_and_singularities(cell, solver
 # -- solved passes -------------------------------------------------------------------------------------------------
 
 
-def solved(T=None, stroke=0.0, curvature=(0.0, 0.0, 0.0)):
+def solved(T=None, stroke=0.0, curvature=(0.0, 0.0, 0.0), turn=0.0):
     T = np.eye(4) if T is None else T
-    numbers = {"curvature": np.array([curvature]), "tilt": np.zeros((1, 2)), "delta": np.full(1, 2e-4)}
+    numbers = {"curvature": np.array([curvature]), "tilt": np.zeros((1, 2)), "delta": np.full(1, 2e-4), "turn": np.full(1, turn)}
     return SimpleNamespace(T_base_blade=T[None], parts=np.array([[stroke, 0.0, 0.0, 0.0]]), **numbers)
 
 
@@ -331,8 +331,10 @@ def test_contact_beside_the_planned_one_is_refused(cell):
         if more < 0:
             put_to_test(cell, points=point, T=T, curvature=curvature)
         else:
-            with pytest.raises(TouchesElsewhere, match=r"beside the contact, 0\.10 mm deeper than planned \(at most 0\.10\)"):
-                put_to_test(cell, points=point, T=T, curvature=curvature)
+            deeper = r"beside the contact, 0\.10 mm deeper than planned \(at most 0\.10\)"
+            with pytest.raises(TouchesElsewhere, match=deeper) as refused:
+                put_to_test(cell, points=point, T=T, curvature=curvature, turn=-0.03)
+            assert refused.value.turn == 0.03
 
 
 @pytest.mark.parametrize("where", ["before its rim", "beside its flank", "off its edge"])
