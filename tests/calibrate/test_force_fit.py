@@ -512,23 +512,26 @@ def test_a_fit_on_a_kink_is_at_rest():
 
 
 @pytest.mark.parametrize("weak", [0.0, 3.0])
-def test_how_unlike_its_cell_a_log_is(weak):
+def test_how_unlike_its_cell_a_log_is(weak, monkeypatch):
     """Of the cell itself every chance is as likely, whatever else is fitted and whatever the log hardly sees."""
     rng, log = np.random.default_rng(5), SimpleNamespace(path=Path("force.csv"))
-    A = rng.normal(size=(40, 7)) * [3.0, 1.0, 2.0, 0.01, 4.0, 1.0, 2.0]
-    A[:, 4] += weak * A[:, 0]  # two runs and an effect beside five of the cell's
+    A = rng.normal(size=(12, 7)) * [1.0, 0.6, 0.8, 0.01, 1.2, 1.0, 1.0]
+    A[:, 5] += weak * A[:, 0]  # a run and an effect beside five of the cell's
     information, chances = np.eye(7) + A.T @ A, []
     others = information[5:, 5:]
     seen = information[:5, :5] - information[:5, 5:] @ np.linalg.solve(others, information[5:, :5]) - np.eye(5)
     for _ in range(3000):
-        z = np.linalg.solve(information, A.T @ (A @ rng.normal(size=7) + rng.normal(size=40)))
+        z = np.linalg.solve(information, A.T @ (A @ rng.normal(size=7) + rng.normal(size=12)))
         chances.append(surprise(seen, z[:5])[2])
         assert of_another_cell(log, information, z, 5) == ()
+        with monkeypatch.context() as usual:
+            usual.setattr("ocp.calibrate.force.fit.OTHER_CELL", 0.1)
+            assert bool(of_another_cell(log, information, z, 5)) == (chances[-1] <= 0.1)
     assert np.mean(np.array(chances) < 0.1) == pytest.approx(0.1, abs=0.02)
-    assert surprise(seen, z[:5])[1] == 4  # one is hardly seen
-    far = np.linalg.solve(information, A.T @ (A @ [0.0, 12.0, 0.0, 0.0, 0.0, 0.0, 0.0] + rng.normal(size=40)))
+    assert surprise(seen, z[:5])[1] == np.sum(np.linalg.eigvalsh(seen) > 1.0) < 5  # one is hardly seen
+    far = np.linalg.solve(information, A.T @ (A @ [0.0, 12.0, 0.0, 0.0, 0.0, 0.0, 0.0] + rng.normal(size=12)))
     assert of_another_cell(log, information, far, 5)[0].startswith(
         "force.csv: the fit needs wheel, blade, arm, stiffnesses or sensor farther"
     )
-    beside = np.linalg.solve(information, A.T @ (A @ [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 12.0] + rng.normal(size=40)))
+    beside = np.linalg.solve(information, A.T @ (A @ [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 12.0] + rng.normal(size=12)))
     assert of_another_cell(log, information, beside, 5) == ()  # what an effect may be off by is none of the cell's

@@ -6,15 +6,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ocp.diagnose.answering import of_another_arm, tracker_channel
+from ocp.diagnose.answering import answer_of, of_another_arm, tracker_channel
 from ocp.diagnose.corrected import calibration_of, summed
 from ocp.diagnose.dataset import read_data_set, read_sealed
-from ocp.diagnose.force.prior import posterior_of
+from ocp.diagnose.force.prior import arm_with_effects, posterior_of
 from ocp.diagnose.interface import diagnose
 from ocp.diagnose.joints.channel import joint_channel
+from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.effects.catalogue import library
 from ocp.effects.cell_effects import effect_of
 from ocp.effects.effect import Active
+from ocp.shell.progress import Phases
 from tests.support.diagnosis_folder import write_joint_folder, write_tracker_folder
 
 PLAY = 3e-4  # rad, of joint 3
@@ -87,13 +89,15 @@ def test_a_wheel_stays_where_the_arm_was_mastered_anew(tmp_path, turned, held_ou
     cross = fit.covariance[at] * 1.5  # the wheel was touched by this arm, 1.5 m away
     whole = np.block([[fit.covariance, cross[:, None]], [cross, np.array([[1.5**2 * fit.covariance[at, at] + 1e-10]])]])
     values = np.append(fit.values + turned * (np.arange(len(places)) == at), 1.7)
-    told = fit.provenance | ({} if held_out is None else {"held_out": {"random": {"mean_mm": held_out}}})
+    told = fit.provenance | ({} if held_out is None else {"method": "full", "held_out": {"random": {"mean_mm": held_out}}})
     known = replace(fit, names=(*fit.names, "wheel_x"), values=values, covariance=whole, provenance=told)
-    made = calibration_of({"tracker": replace(channel, known=known)}, replace(data, setup=replace(data.setup, calibration=known)))
-    wheel = made.names.index("wheel_x")
-    assert made.values[wheel] == pytest.approx(1.7, abs=1e-6)
-    assert made.standard_deviation[wheel] > (4e-4 if turned else 0.0)
-    assert bool(made.covariance[wheel, :wheel].any()) is (turned == 0.0)
+    asked = replace(channel, known=known)
+    written = calibration_of({"tracker": asked}, replace(data, setup=replace(data.setup, calibration=known)))
+    for made in (written, arm_with_effects(asked, ())):  # in the corrected cell, and as a force log is told
+        wheel = made.names.index("wheel_x")
+        assert made.values[wheel] == pytest.approx(1.7, abs=1e-6)
+        assert made.standard_deviation[wheel] > (4e-4 if turned else 0.0)
+        assert bool(made.covariance[wheel, :wheel].any()) is (turned == 0.0)
 
 
 def test_what_a_belief_is_off_by_is_named_and_the_corrected_cell_has_the_sum(tmp_path):
@@ -140,3 +144,10 @@ def test_effects_add_up_where_they_are_the_same_and_stand_side_by_side_else():
     slow, fast, more = (effect_of({"effect": "wheel_relaxation", "g": g, "tau": tau}).active for g, tau in pairs)
     both = [(*a.parameters.values(), a.scanned["acts_g"]) for a in summed([fast], [slow, more])]
     assert both == [pytest.approx((0.25, 0.15, 0.25)), pytest.approx((0.1, 18.0, 0.1))]
+
+
+def test_what_a_channel_says_of_its_cell_is_in_the_answer(tmp_path, monkeypatch):
+    write_tracker_folder(tmp_path / "a", seed=4)
+    monkeypatch.setattr(TrackerChannel, "surprises", ("force.csv: of another cell",), raising=False)
+    answer = answer_of(tmp_path / "a", Phases(), {"backlash": library()["backlash"]})
+    assert "force.csv: of another cell" in answer.notices

@@ -282,6 +282,9 @@ def test_a_blade_that_slipped_since_the_calibration_is_among_the_names(made, tmp
     after = channel.with_active((_active("clamp_slip", 0, {"at_s": began, "side": (0.0, 0.0, 0.0)}),))
     assert after.active[0].a[0] == pytest.approx(moved, abs=4 * float(np.sqrt(after.active[0].covariance[0, 0])))
     assert _gap(after, truth) < 0.06 < 0.5 * _gap(channel, truth)
+    # Until it has its name the log is as of another cell; a fit without rest says nothing of it.
+    assert channel.surprises and not after.surprises
+    assert not replace(channel, fit=replace(channel.fit, rested=False)).surprises
 
 
 def test_an_effect_of_the_arm_is_the_same_joint_motion(made, tmp_path):

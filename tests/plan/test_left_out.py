@@ -344,6 +344,17 @@ def test_a_line_looked_at_for_its_feed_is_looked_at_anew_for_other_seeds_and_eff
     assert set(tried) == {(0.0, first), (0.1, "anew")}
 
 
+def bare_worker(monkeypatch, solve):
+    """A worker whose passes `solve` solves, and which makes nothing ready for it but whether it is led in."""
+    monkeypatch.setattr("ocp.plan.passes.optimise._from_seed", lambda path, seed, compliance: seed)
+    monkeypatch.setattr(PassWorker, "_driven", lambda self, seed: "driven")
+    monkeypatch.setattr(PassWorker, "_whole_way", lambda self, seed, line, led: led)
+    monkeypatch.setattr(PassWorker, "_solve", solve)
+    worker, process = object.__new__(PassWorker), SimpleNamespace(turn_tolerance=0.1)
+    worker.ground, worker.scene = SimpleNamespace(cell=SimpleNamespace(effects=(), process=process), law=None), None
+    return worker
+
+
 @pytest.mark.parametrize("direction", [1, -1])
 def test_a_line_too_near_to_the_platform_is_tried_with_one_seed_and_cut_though_the_whole_is_asked_for(monkeypatch, direction):
     """Without and with what leads in, no more: no posture changes where the turned wheel passes."""
@@ -356,16 +367,11 @@ def test_a_line_too_near_to_the_platform_is_tried_with_one_seed_and_cut_though_t
             raise PassesNear.of(path, ~room, "too near", "use another wheel")
         return SimpleNamespace(problem=SimpleNamespace(path=path))
 
-    monkeypatch.setattr("ocp.plan.passes.optimise._from_seed", lambda path, seed, compliance: seed)
     monkeypatch.setattr("ocp.plan.passes.optimise.find_seeds", lambda *_: [[SimpleNamespace(direction=direction)]])
     for name in ("refuse_ends", "refuse_uneven_leads"):
         monkeypatch.setattr(f"ocp.plan.passes.optimise.{name}", lambda *_: None)
     monkeypatch.setattr("ocp.plan.passes.optimise.replace", lambda whole, turn_limit: whole)
-    monkeypatch.setattr(PassWorker, "_driven", lambda self, seed: "driven")
-    monkeypatch.setattr(PassWorker, "_whole_way", lambda self, seed, line, led: led)
-    monkeypatch.setattr(PassWorker, "_solve", solved)
-    worker, process = object.__new__(PassWorker), SimpleNamespace(turn_tolerance=0.1)
-    worker.ground, worker.scene = SimpleNamespace(cell=SimpleNamespace(effects=(), process=process), law=None), None
+    worker = bare_worker(monkeypatch, solved)
     led = replace(one, path=replace(one.path, room_before=0.01))
     found = worker.solve_stretch(led, 3 * [SimpleNamespace(direction=direction)], whole=True)
     assert len(tried) == 3 and tried[:2] == [True, False] and len(found.passes) == len(found.left_out) == 1
@@ -382,13 +388,8 @@ def test_a_smaller_turn_is_tried_only_where_the_wheel_stood_askew(monkeypatch, t
         error.turn = min(turn, problem)
         raise error
 
-    monkeypatch.setattr("ocp.plan.passes.optimise._from_seed", lambda path, seed, compliance: seed)
     monkeypatch.setattr("ocp.plan.passes.optimise.replace", lambda whole, turn_limit: turn_limit)
-    monkeypatch.setattr(PassWorker, "_driven", lambda self, seed: "driven")
-    monkeypatch.setattr(PassWorker, "_whole_way", lambda self, seed, line, led: led)
-    monkeypatch.setattr(PassWorker, "_solve", solved)
-    worker, process = object.__new__(PassWorker), SimpleNamespace(turn_tolerance=0.1)
-    worker.ground, worker.scene = SimpleNamespace(cell=SimpleNamespace(effects=(), process=process), law=None), None
+    worker = bare_worker(monkeypatch, solved)
     with pytest.raises(TouchesElsewhere):
         worker.solve(one.path, [SimpleNamespace(direction=1)], one.compliance)
     assert tried == pytest.approx(limits)

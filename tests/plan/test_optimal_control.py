@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from ocp.contact.wheel.signorini import LocalShape, solve_force
+from ocp.effects.cell_effects import effect_of
 from ocp.model.blade_gap import SurfaceCloud, contact_stations
 from ocp.model.prepare import wheel_cover
 from ocp.model.theta import Theta, believed_theta
@@ -120,6 +121,13 @@ def test_a_jolt_of_the_seed_is_driven_within_the_limit_of_jerk(monkeypatch):
     again = solver.solve(replace(problem, indentation_correction=problem.indentation_correction + 1e-6), kept)
     assert kept.limited and again.limited and all(asked) and len(asked) < 4
     assert axis_use(cell, problem.way, again.q, again.rate)[:, 18:].max() <= SPEED_SHARE + 1e-5
+
+
+def test_effects_see_the_setpoint_that_is_commanded():
+    """Not what the calibrated flange then sets: logs have the commanded one."""
+    cell, _, problem = ready()
+    told = replace(cell, flange=replace(cell.flange, setpoint=20.7), effects=(effect_of({"effect": "sensor_bias", "N": 0.4}),))
+    assert set(problem.named_conditions(told)["setpoint"].ravel()) == {20.0}
 
 
 def test_machine_code_is_made_once_what_few_waypoints_take_would_pay_it(monkeypatch):
