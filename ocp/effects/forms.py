@@ -4,6 +4,7 @@ A form is some of the fields of an `Effect`, given as **form: at least its param
 ways between them.
 """
 
+from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import product
 from typing import Any
@@ -12,7 +13,7 @@ import casadi as ca
 import numpy as np
 
 from ocp.effects.context import ArmContext, ContactContext, LogRows
-from ocp.effects.effect import Parameter, Scanned, Surroundings, amplitude_and_phase, cosine_and_sine
+from ocp.effects.effect import Parameter, Scanned, Surroundings, amplitude_and_phase, cosine_and_sine, scan_key
 from robots.gravity import GRAVITY
 from robots.pose import Array
 
@@ -205,6 +206,29 @@ def steps_between_runs(joint: int, seen: Surroundings) -> Sequence[Scanned]:
     known = np.asarray(seen.breaks, float)
     inside = len(known) and known.max() > np.nanmin(seen.time)
     return [{"at_s": float(t)} for t in (known if inside else np.append(known, instants(seen.time)))][: 4 * INSTANTS]
+
+
+def odds_of_instants(scans: Sequence[Scanned], time: Array) -> Array:
+    """Log prior odds (V,) of variants over equal ones; time (n,) s: of the readings, on the clock of at_s.
+
+    What happens at once comes with the work, at any of the instants alike, or with time, of which each instant has all that
+    lies nearest to it: the longer nobody looked, the likelier it was then. Both weigh the same. How long nobody looked before
+    the first reading is not known: as long as all of them took. Where there is more than at_s (a nest, a side), in each case
+    for itself; what grows slowly has no instant.
+    """
+    odds, known = np.zeros(len(scans)), np.unique(time[np.isfinite(time)])
+    cases = defaultdict[tuple[Any, ...], list[int]](list)
+    for v, s in enumerate(scans):
+        if "at_s" in s and s.get("until_s", s["at_s"]) <= s["at_s"]:
+            cases[scan_key({k: w for k, w in s.items() if k not in ("at_s", "until_s")})].append(v)
+    for rows in cases.values() if len(known) > 1 else ():
+        order = np.array(sorted(rows, key=lambda v: scans[v]["at_s"]))
+        at = np.array([scans[v]["at_s"] for v in order])
+        nearest = np.searchsorted(0.5 * (at[1:] + at[:-1]), 0.5 * (known[1:] + known[:-1]))
+        lasted = np.bincount(nearest, np.diff(known), len(at))
+        lasted[at <= known[0]] = np.ptp(known)
+        odds[order] = np.log(0.5 + 0.5 * len(at) * lasted / lasted.sum())
+    return odds
 
 
 def shifted_by_time(x: LogRows, signal: Array, delay: float) -> Array:

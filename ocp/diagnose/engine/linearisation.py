@@ -16,6 +16,7 @@ from ocp.diagnose.engine.findings import Name, Options
 from ocp.diagnose.engine.kernels import Kernel, kernels
 from ocp.diagnose.engine.pool import CandidatePool, Family, Given, Member, given, make_pool, most_telling, scan_one
 from ocp.effects.effect import Active, Effect, Scanned, deviations_among, scan_key
+from ocp.effects.forms import odds_of_instants
 from robots.gauss_newton import linear_step
 from robots.pose import Array
 
@@ -79,9 +80,11 @@ def play(found: Sequence[Candidate], stack: Stack) -> list[Family]:
     return [Family(Name("~play"), None, ({},), projected, np.ones(m), rules.BACKGROUND_PLAY, positive, odds, background=True)]
 
 
-def library_families(found: Sequence[Candidate], stack: Stack, options: Options, active: Set[tuple[str, int]]) -> list[Family]:
+def library_families(
+    found: Sequence[Candidate], stack: Stack, options: Options, active: Set[tuple[str, int]], time: Array
+) -> list[Family]:
     """Families with projected columns. active: effects that the channels hold, candidates whether or not the noise of that fit
-    still lets their usual size be seen: what was accepted must be weighed, and may be dropped."""
+    still lets their usual size be seen: what was accepted must be weighed, and may be dropped; time (n,) s of the readings."""
     families = []
     kinds = len({c.effect.name for c in found})
     for c in found:
@@ -97,7 +100,10 @@ def library_families(found: Sequence[Candidate], stack: Stack, options: Options,
         odds = log_odds(c.effect, kinds, options.prior_effects) + float(np.log(len(c.scans) / max(c.among, len(c.scans))))
         seen = projected if visible.all() else projected[:, visible]
         name, sizes = Name(c.effect.name, c.joint), size_grid(ratio_of(c.effect, scans))
-        families.append(Family(name, c.effect, scans, seen, scale, sizes, positive_of(c.effect), odds, among=c.among))
+        within = odds_of_instants(scans, time)
+        families.append(
+            Family(name, c.effect, scans, seen, scale, sizes, positive_of(c.effect), odds, among=c.among, within=within)
+        )
     return families
 
 
@@ -326,7 +332,8 @@ def linearised(channels: Sequence[Channel], library: Mapping[str, Effect], optio
     stacked = stack(tuple(channels), back)
     held = {a.key for c in channels for a in c.active}
     ripples = next((c.ripples for c in channels if isinstance(c, Geared)), None)
-    families = library_families(found, stacked, options, held) + kernel_families(channels, stacked)
+    time = np.concatenate([c.surroundings.time for c in channels])
+    families = library_families(found, stacked, options, held, time) + kernel_families(channels, stacked)
     whole = make_pool(stacked.y, stacked.freedom, families, stacked.tails)
     families = most_telling(whole, _held(families, [a for c in channels for a in c.active]))
     families += ripple_families(families, ripples) + play(found, stacked)

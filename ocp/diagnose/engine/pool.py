@@ -24,7 +24,8 @@ from robots.pose import Array, Index
 class Family:
     """Candidates of one name: variants' scanned values, whitened columns (N, V, m) in units of the priors' upper ends `scale`
     (m,), positive (m,) coefficients that physics holds positive, log prior odds; sizes (T,) of the priors' widths; among: of how
-    many variants these are the most telling (0: all). effect None: a kernel of the library-free tests, or background."""
+    many variants these are the most telling (0: all); within (V,): log odds of each variant over equal ones. effect None: of the
+    library-free tests a kernel, or background."""
 
     name: Name
     effect: Effect | None
@@ -37,6 +38,7 @@ class Family:
     where: str = ""
     background: bool = False
     among: int = 0
+    within: Array | float = 0.0
 
 
 Which = tuple[int, int]
@@ -62,8 +64,8 @@ class Best:
 
 @dataclass(frozen=True)
 class _Group:
-    """Families of m coefficients: their projected columns (N, V, m) each, G and b, sizes (V, T); positive (V, m); starts: where
-    each family begins; families: their indices."""
+    """Families of m coefficients: their projected columns (N, V, m) each, G and b, sizes (V, T); positive (V, m); log odds within
+    (V, 1); starts: where each family begins; families: their indices."""
 
     m: int
     parts: tuple[Array, ...]
@@ -71,6 +73,7 @@ class _Group:
     b: Array
     sizes: Array
     positive: Array
+    within: Array
     starts: Index
     families: Index
 
@@ -221,9 +224,10 @@ def make_pool(y: Array, freedom: int, families: Sequence[Family], tails: tuple[T
             place[i] = (len(groups), int(start))
         sizes = np.repeat([families[i].sizes for i in chosen], counts, axis=0)
         positive = np.repeat([families[i].positive for i in chosen], counts, axis=0)
+        within = np.concatenate([np.broadcast_to(families[i].within, k) for i, k in zip(chosen, counts, strict=True)])
         inner = np.concatenate([y @ _flat(part) for part in parts]).reshape(-1, m)
         G = np.concatenate([squares(part) for part in parts])
-        groups.append(_Group(m, parts, G, inner, sizes, positive, starts, np.array(chosen)))
+        groups.append(_Group(m, parts, G, inner, sizes, positive, within[:, None], starts, np.array(chosen)))
     return CandidatePool(y, freedom, tuple(families), tuple(groups), tuple(place), tails)
 
 
@@ -245,7 +249,7 @@ def most_telling(pool: CandidatePool, held: Sequence[Member]) -> list[Family]:
             G, b = g.G, g.b
             if members:  # once for all: not worth laying all columns side by side
                 G, b = _beside(there, np.hstack([C @ _flat(part) for part in g.parts]), G, b)
-            each = np.logaddexp.reduce(log_evidence(G, b, g.sizes, g.positive, there.left, pool.freedom), axis=1)
+            each = np.logaddexp.reduce(log_evidence(G, b, g.sizes, g.positive, there.left, pool.freedom) + g.within, axis=1)
             for family, start in zip(g.families, g.starts, strict=True):
                 own = each[start : start + pool.families[family].columns.shape[1]]
                 best[family].update(np.argsort(-own)[: rules.MOST_TELLING].tolist())
@@ -258,7 +262,8 @@ def most_telling(pool: CandidatePool, held: Sequence[Member]) -> list[Family]:
         odds = family.log_odds + float(np.log(len(rows) / count))
         scans, among = tuple(family.scans[v] for v in rows), max(family.among, count)
         columns = np.ascontiguousarray(family.columns[:, rows])  # picked, they lie by variants
-        families.append(replace(family, scans=scans, columns=columns, log_odds=odds, among=among))
+        within = np.broadcast_to(family.within, count)[rows]
+        families.append(replace(family, scans=scans, columns=columns, log_odds=odds, among=among, within=within))
     return families
 
 
@@ -294,7 +299,7 @@ def scan(pool: CandidatePool, there: Given) -> Scan:
         G, b = g.G, g.b
         if crossed:
             G, b = _beside(there, np.vstack([s * rows[k] for rows, s in crossed]), G, b)
-        every = log_evidence(G, b, g.sizes, g.positive, there.left, pool.freedom)
+        every = log_evidence(G, b, g.sizes, g.positive, there.left, pool.freedom) + g.within
         counts = np.diff(np.append(g.starts, len(every)))
         per = np.logaddexp.reduce(every, axis=1)
         log[g.families] = np.logaddexp.reduceat(per, g.starts) - np.log(counts * every.shape[1])
@@ -311,7 +316,8 @@ def scan_one(pool: CandidatePool, there: Given, family: int) -> tuple[Array, Arr
     G, b = g.G[rows], g.b[rows]
     if there.members:
         G, b = _beside(there, pool.products(there, family), G, b)
-    return log_evidence(G, b, g.sizes[rows], g.positive[rows], there.left, pool.freedom), g.sizes[rows.start]
+    every = log_evidence(G, b, g.sizes[rows], g.positive[rows], there.left, pool.freedom) + g.within[rows]
+    return every, g.sizes[rows.start]
 
 
 def _beside(there: Given, crossed: Array, G: Array, b: Array) -> tuple[Array, Array]:
