@@ -14,6 +14,11 @@ PRIOR_EFFECTS = 0.15
 an effect are not accused. Reason: three of 180 machines by another hand with nothing planted (docs/diagnosis.md, Measured); of
 the first 120 one, at 0.3 four, and the first name is as often right."""
 
+SMALLER = 0.2
+"""[-] Of the usual range's lower end: the least of the prior widths of what the background has no little of. Guards: a good
+wheel's runout is not told as something unknown that goes with its turn. Reason: thousands of rows show less than is usual; of
+18 force logs of the blind check (seed 5846) with a name missing MEASURED."""
+
 PRIOR_UNKNOWN = 0.05
 """[-] Probability of an effect outside the catalogue before any reading, shared by kinds of kernels, then by joints. Guards:
 'none of these' against names. Reason: one cell in twenty; what it answers in worlds outside the catalogue is in

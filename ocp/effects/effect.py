@@ -175,6 +175,24 @@ class Effect:
         """Joints to try; (0,) for effects of no joint."""
         return self.joints or (0,)
 
+    @property
+    def positive(self) -> Array:
+        """Coefficients (m,) that may not be negative: those that are an unsigned parameter, and the share of the only one."""
+        unsigned = {p.key for p in self.parameters if not p.signed and p.length == 1}
+        if self.coefficients == ("share",) and len(self.parameters) == 1:
+            return np.array([bool(unsigned)])
+        return np.array([c in unsigned for c in self.coefficients])
+
+    @property
+    def sized_by(self) -> Parameter:
+        """The key that says how large it is."""
+        return next(p for p in self.parameters if p.unit != "name" and p.high > 0 and p.key not in ("order", "phase_rad"))
+
+    def lower_end(self, scans: Sequence[Scanned]) -> float:
+        """Lower over upper end of the typical range, the least over the parameters that are sizes, not scanned."""
+        sizes = [p.low / p.high for p in self.parameters if p.low > 0 and p.key not in scans[0]]
+        return float(np.clip(min(sizes, default=0.03), 0.01, 0.5))
+
 
 def effect_named(name: str) -> Effect:
     """An effect of the library, or a patch, by its name."""

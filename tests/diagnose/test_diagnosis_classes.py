@@ -4,10 +4,11 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
+import pytest
 
 from ocp.diagnose.engine.beam import Weighed
 from ocp.diagnose.engine.findings import Name
-from ocp.diagnose.engine.pool import Family, Member, make_pool, most_telling
+from ocp.diagnose.engine.pool import Family, Member, given, make_pool, most_telling, scan, scan_one
 from ocp.diagnose.verdict.probabilities import merged, twins
 from ocp.effects.catalogue import library
 from robots.gauss_newton import linear_step
@@ -51,6 +52,25 @@ def test_a_form_and_what_it_holds_are_one_class_until_the_difference_shows():
 
 def test_a_small_background_does_not_take_the_place_of_an_effect():
     assert classes_of(0.35, play=0.08) == [BACKLASH]
+
+
+def test_likelier_variants_weigh_more_and_picked_ones_as_before():
+    y = SIGN * LONG / np.sqrt(N) + np.random.default_rng(1).normal(size=N)
+    away, share = RNG.normal(size=(N, 40)), RNG.dirichlet(np.full(41, 0.3))
+    columns = LONG / np.sqrt(N) * np.concatenate([SIGN[:, None], away], axis=1)[:, :, None]
+    even = replace(family("windup", SIGN[:, None]), columns=columns, scans=tuple({"at_s": k} for k in range(41)))
+    own = replace(even, within=np.log(41 * share))
+    pools = [make_pool(y, N, [one]) for one in (even, own)]
+    there = [given(pool, ()) for pool in pools]
+    each = [scan_one(pool, base, 0)[0] for pool, base in zip(pools, there, strict=True)]
+    assert each[1] == pytest.approx(each[0] + np.log(41 * share)[:, None])
+    whole = [scan(pool, base) for pool, base in zip(pools, there, strict=True)]
+    assert whole[1].log[0] == pytest.approx(np.logaddexp.reduce((each[0] + np.log(share)[:, None]).ravel()) - np.log(3))
+    assert whole[1].log[0] - whole[0].log[0] == pytest.approx(np.log(41 * share[0]), abs=0.05)  # the first alone fits
+    picked = make_pool(y, N, most_telling(pools[1], ()))
+    assert len(picked.families[0].scans) < 41
+    weight = [scan(p, given(p, ())).log[0] + p.families[0].log_odds for p in (pools[1], picked)]
+    assert weight[1] == pytest.approx(weight[0], abs=1e-3)
 
 
 def test_a_twin_may_lean_on_what_else_is_in_the_set():

@@ -14,7 +14,7 @@ from ocp.diagnose.engine.beam import Search, Weighed, weigh
 from ocp.diagnose.engine.channel_system import UNSEEN, ReadingConditions
 from ocp.diagnose.engine.evidence import Tails, log_evidence, project, size_grid
 from ocp.diagnose.engine.findings import Name, Options
-from ocp.diagnose.engine.linearisation import linearised, positive_of
+from ocp.diagnose.engine.linearisation import linearised
 from ocp.diagnose.engine.pool import Member, given, scan, scan_one
 from ocp.diagnose.engine.search import outliers, search_and_refit
 from ocp.diagnose.rules import NOISE_TRUST, TAILS, TAILS_TOLD, WRONG_SIGN
@@ -437,8 +437,8 @@ def test_a_value_is_as_unsure_as_what_stands_beside_it():
 
 
 def test_a_share_with_a_sign_beside_it_may_be_negative():
-    assert not positive_of(library()["sensor_crosstalk"]).any()
-    assert positive_of(library()["wheel_wear"]).all() and positive_of(library()["joint_compliance"]).all()
+    assert not library()["sensor_crosstalk"].positive.any()
+    assert library()["wheel_wear"].positive.all() and library()["joint_compliance"].positive.all()
 
 
 @dataclass(frozen=True)

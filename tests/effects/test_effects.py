@@ -16,6 +16,7 @@ from ocp.effects.catalogue import effect_list, effects_table, forget_library, li
 from ocp.effects.cell_effects import effect_of, table_of
 from ocp.effects.effect import SUBSYSTEMS, Active, Surroundings, amplitude_and_phase, cosine_and_sine, deviations_among
 from ocp.effects.engine.evaluate import TrackerRows, arm_columns, arm_rows, arm_shift, tracker_columns
+from ocp.effects.forms import odds_of_instants
 from ocp.shell.cache import OWN_EFFECTS
 from robots.calibration.reading_model import RowInputs, predict
 from robots.errors import BadInput
@@ -328,3 +329,18 @@ def test_a_frame_that_moved_may_have_done_so_before_the_first_row_or_inside_a_si
             at = [one["at_s"] for one in library()[name].scan(0, seen) if not any(one.get("side", ()))]
             assert len(at) == len(set(at)) == (count if name == "wheel_frame_shift" else 40 + len(breaks))
             assert (3.0 in at) == (3.0 in breaks)
+
+
+def test_a_shift_is_as_likely_in_a_pause_as_the_pause_is_long():
+    """Half evenly, half by time, of each nest for itself; slow growth as it was; before the first reading as long as all took."""
+    time = np.array([0.0, 1.0, 2.0, 3.0, 97.0, 98.0, 99.0, 100.0])
+    at = [0.0, 1.5, 50.0, 98.5]
+    share = np.exp(odds_of_instants([{"at_s": t} for t in at], time)) / 4
+    # What lies nearest: to 0 one second, to 1.5 two, to 50 the pause, to 98.5 the rest; 0 is the first reading.
+    assert share == pytest.approx(0.5 / 4 + 0.5 * np.array([100.0, 2.0, 94.0, 3.0]) / 199.0)
+    assert share.sum() == pytest.approx(1.0)
+    scans = [{"target": name, "at_s": t} for name in "ab" for t in at[::-1]]
+    assert np.exp(odds_of_instants(scans, time)) / 4 == pytest.approx([*share[::-1], *share[::-1]])
+    slow = [{"at_s": 0.0, "until_s": 100.0}, *({"at_s": t, "until_s": t} for t in at)]
+    assert np.exp(odds_of_instants(slow, time)) == pytest.approx([1.0, *(4 * share)])
+    assert not odds_of_instants([{"order": 3.0}, {}], time).any() and not odds_of_instants([{"at_s": 1.0}], time[:0]).any()

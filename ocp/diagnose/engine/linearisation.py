@@ -1,7 +1,7 @@
 """One linearisation of all channels: library and kernels projected together, with their priors; sets back to effects."""
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence, Set
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Protocol, runtime_checkable
@@ -73,18 +73,16 @@ def play(found: Sequence[Candidate], stack: Stack) -> list[Family]:
     parts = [c for c in found if len(c.scans) == 1 and c.effect.size == 1 and "approach" in c.effect.needs and c.joint]
     if len(parts) < 3:  # no population
         return []
-    columns = np.hstack([c.columns[:, 0] * c.effect.prior_sd[0] * ratio_of(c.effect, c.scans) for c in parts])
+    columns = np.hstack([c.columns[:, 0] * c.effect.prior_sd[0] * c.effect.lower_end(c.scans) for c in parts])
     m = columns.shape[1]
     odds, positive = float(np.log(rules.PLAY_ODDS)), np.ones(m, bool)
     projected = stack.apply(columns)[:, None]
     return [Family(Name("~play"), None, ({},), projected, np.ones(m), rules.BACKGROUND_PLAY, positive, odds, background=True)]
 
 
-def library_families(
-    found: Sequence[Candidate], stack: Stack, options: Options, active: Set[tuple[str, int]], time: Array
-) -> list[Family]:
+def library_families(found: Sequence[Candidate], stack: Stack, options: Options, active: Set[tuple[str, int]]) -> list[Family]:
     """Families with projected columns. active: effects that the channels hold, candidates whether or not the noise of that fit
-    still lets their usual size be seen: what was accepted must be weighed, and may be dropped; time (n,) s of the readings."""
+    still lets their usual size be seen: what was accepted must be weighed, and may be dropped."""
     families = []
     kinds = len({c.effect.name for c in found})
     for c in found:
@@ -99,11 +97,8 @@ def library_families(
         scans = tuple(s for s, k in zip(c.scans, visible, strict=True) if k)
         odds = log_odds(c.effect, kinds, options.prior_effects) + float(np.log(len(c.scans) / max(c.among, len(c.scans))))
         seen = projected if visible.all() else projected[:, visible]
-        name, sizes = Name(c.effect.name, c.joint), size_grid(ratio_of(c.effect, scans))
-        within = odds_of_instants(scans, time)
-        families.append(
-            Family(name, c.effect, scans, seen, scale, sizes, positive_of(c.effect), odds, among=c.among, within=within)
-        )
+        name, sizes = Name(c.effect.name, c.joint), widths_of(c.effect, c.joint, scans)
+        families.append(Family(name, c.effect, scans, seen, scale, sizes, c.effect.positive, odds, among=c.among))
     return families
 
 
@@ -146,13 +141,19 @@ def rival_of(effect: Effect, joint: int, scans: Sequence[Scanned]) -> Rival | No
     if has_twin(effect, joint, scans):
         return Rival(_twin_sizes(effect, scans), float(np.log(rules.RIPPLE_ODDS / len(scans))), 0)
     if joint and "approach" in effect.needs:
-        return Rival(rules.BACKGROUND_PLAY * ratio_of(effect, scans), float(np.log(rules.PLAY_ODDS)), 6 - effect.size)
+        return Rival(rules.BACKGROUND_PLAY * effect.lower_end(scans), float(np.log(rules.PLAY_ODDS)), 6 - effect.size)
     return None
+
+
+def widths_of(effect: Effect, joint: int, scans: Sequence[Scanned]) -> Array:
+    """Prior widths (T,) of an effect as shares of the usual range's upper end: from what is smaller than usual, where that has no
+    rival in the background."""
+    return size_grid(effect.lower_end(scans) * (1.0 if rival_of(effect, joint, scans) else rules.SMALLER))
 
 
 def _twin_sizes(effect: Effect, scans: Sequence[Scanned]) -> Array:
     """Sizes (T,) of what every machine has a little of, as shares of the upper end."""
-    return np.full(SIZES, rules.BACKGROUND_RIPPLE * ratio_of(effect, scans))
+    return np.full(SIZES, rules.BACKGROUND_RIPPLE * effect.lower_end(scans))
 
 
 def smallest_seen(
@@ -161,10 +162,10 @@ def smallest_seen(
     """Share of the usual upper end from which an effect at a joint is named nine times of ten, inf: never; among: of how many
     variants `scans` are the most telling; energy: mean square of its columns at the upper end, others (k,): at its other joints.
     Play of all joints stands against that of one: of the others it pays for what these readings show of them."""
-    rival, sizes = rival_of(effect, joint, scans), size_grid(ratio_of(effect, scans))
+    rival, sizes = rival_of(effect, joint, scans), widths_of(effect, joint, scans)
     beside = others if rival is not None and rival.beside else None
     # What physics holds positive has a half-normal prior, twice as dense where it is.
-    each = odds - float(np.log(among)) + int(positive_of(effect).sum()) * float(np.log(2.0))
+    each = odds - float(np.log(among)) + int(effect.positive.sum()) * float(np.log(2.0))
     return float(np.sqrt(visible_lambda(energy, effect.size, sizes, each, rival, beside) / max(energy, 1e-12)))
 
 
@@ -189,20 +190,6 @@ def has_twin(effect: Effect, joint: int, scans: Sequence[Scanned], among: int = 
 def log_odds(effect: Effect, kinds: int, expected: float = rules.PRIOR_EFFECTS) -> float:
     """Prior odds of an effect at one joint, `kinds` effects being possible and so many of them expected."""
     return float(np.log(expected / kinds / len(effect.places)))
-
-
-def ratio_of(effect: Effect, scans: Sequence[Scanned]) -> float:
-    """Lower over upper end of the typical range, the least over the parameters that are sizes."""
-    sizes = [p.low / p.high for p in effect.parameters if p.low > 0 and p.key not in scans[0]]
-    return float(np.clip(min(sizes, default=0.03), 0.01, 0.5))
-
-
-def positive_of(effect: Effect) -> Array:
-    """Coefficients (m,) that may not be negative: those that are an unsigned parameter, and the share of the only one."""
-    unsigned = {p.key for p in effect.parameters if not p.signed and p.length == 1}
-    if effect.coefficients == ("share",) and len(effect.parameters) == 1:
-        return np.array([bool(unsigned)])
-    return np.array([c in unsigned for c in effect.coefficients])
 
 
 def stacked_columns(
@@ -333,7 +320,8 @@ def linearised(channels: Sequence[Channel], library: Mapping[str, Effect], optio
     held = {a.key for c in channels for a in c.active}
     ripples = next((c.ripples for c in channels if isinstance(c, Geared)), None)
     time = np.concatenate([c.surroundings.time for c in channels])
-    families = library_families(found, stacked, options, held, time) + kernel_families(channels, stacked)
+    families = [replace(f, within=odds_of_instants(f.scans, time)) for f in library_families(found, stacked, options, held)]
+    families += kernel_families(channels, stacked)
     whole = make_pool(stacked.y, stacked.freedom, families, stacked.tails)
     families = most_telling(whole, _held(families, [a for c in channels for a in c.active]))
     families += ripple_families(families, ripples) + play(found, stacked)
@@ -348,31 +336,24 @@ def _held(families: Sequence[Family], active: Sequence[Active]) -> list[Member]:
 
 
 def kernel_families(channels: Sequence[Channel], stacked: Stack) -> list[Family]:
-    """Library-free kernels of each channel as candidates for an effect outside the catalogue."""
-    made = list(kernel_columns(channels, stacked))
-    kinds = Counter(_kind(kernel) for _, kernel, _ in made)
-    found = []
-    for name, kernel, columns in made:
+    """Library-free kernels of each channel as candidates for an effect outside the catalogue; zero in other channels."""
+    parts = zip(channels, stacked.blocks, stacked.projections, strict=True)
+    made = [(*part, kernel) for part in parts for kernel in kernels(part[0].conditions)]
+    kinds, found = Counter(_kind(kernel) for *_, kernel in made), list[Family]()
+    for channel, block, projection, kernel in made:
+        changes = kernel.changes
+        n, k, V, m = changes.shape
+        columns = np.zeros((len(stacked.y), V * m))
+        columns[block] = projection.apply(channel.whiten(changes.reshape(n, k, V * m)))
+        columns *= kernel.high
         share = rules.PRIOR_UNKNOWN / len(kinds) / kinds[_kind(kernel)]
         share *= rules.BROKEN_ORDER_ODDS if "ripple" in kernel.where else 1.0
-        share *= columns.shape[1] / max(kernel.among, columns.shape[1])
-        m, sizes = columns.shape[2], size_grid(kernel.low / kernel.high)
-        scans = tuple({"kernel": v} for v in range(columns.shape[1]))
-        full, scale, odds = Name(f"?{name}", kernel.joint), np.full(m, kernel.high), float(np.log(share))
-        columns *= kernel.high
-        found.append(Family(full, None, scans, columns, scale, sizes, np.zeros(m, bool), odds, kernel.where))
+        share *= V / max(kernel.among, V)
+        name, scale = Name(f"?{channel.name}/{kernel.where}/{kernel.source}", kernel.joint), np.full(m, kernel.high)
+        sizes, scans, odds = size_grid(kernel.low / kernel.high), tuple({"kernel": v} for v in range(V)), float(np.log(share))
+        whole = columns.reshape(-1, V, m)
+        found.append(Family(name, None, scans, whole, scale, sizes, np.zeros(m, bool), odds, kernel.where))
     return found
-
-
-def kernel_columns(channels: Sequence[Channel], stacked: Stack) -> Iterator[tuple[str, Kernel, Array]]:
-    """Name, kernel and projected columns (N, V, m) per unit size, zero in other channels."""
-    for channel, block, projection in zip(channels, stacked.blocks, stacked.projections, strict=True):
-        for kernel in kernels(channel.conditions):
-            changes = kernel.changes
-            n, k, V, m = changes.shape
-            whole = np.zeros((len(stacked.y), V * m))
-            whole[block] = projection.apply(channel.whiten(changes.reshape(n, k, V * m)))
-            yield f"{channel.name}/{kernel.where}/{kernel.source}", kernel, whole.reshape(-1, V, m)
 
 
 def _kind(kernel: Kernel) -> str:

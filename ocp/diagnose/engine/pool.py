@@ -260,9 +260,13 @@ def most_telling(pool: CandidatePool, held: Sequence[Member]) -> list[Family]:
             families.append(family)
             continue
         odds = family.log_odds + float(np.log(len(rows) / count))
-        scans, among = tuple(family.scans[v] for v in rows), max(family.among, count)
+        scans, among, within = (
+            tuple(family.scans[v] for v in rows),
+            max(family.among, count),
+            np.broadcast_to(family.within, count),
+        )
         columns = np.ascontiguousarray(family.columns[:, rows])  # picked, they lie by variants
-        within = np.broadcast_to(family.within, count)[rows]
+        among = max(family.among, count)
         families.append(replace(family, scans=scans, columns=columns, log_odds=odds, among=among, within=within))
     return families
 
@@ -316,8 +320,7 @@ def scan_one(pool: CandidatePool, there: Given, family: int) -> tuple[Array, Arr
     G, b = g.G[rows], g.b[rows]
     if there.members:
         G, b = _beside(there, pool.products(there, family), G, b)
-    every = log_evidence(G, b, g.sizes[rows], g.positive[rows], there.left, pool.freedom) + g.within[rows]
-    return every, g.sizes[rows.start]
+    return log_evidence(G, b, g.sizes[rows], g.positive[rows], there.left, pool.freedom) + g.within[rows], g.sizes[rows.start]
 
 
 def _beside(there: Given, crossed: Array, G: Array, b: Array) -> tuple[Array, Array]:

@@ -23,7 +23,7 @@ from ocp.diagnose import rules
 from ocp.diagnose.engine.beam import NOTHING, Search
 from ocp.diagnose.engine.channel_system import Channel, Fold, System, WeighedReadings
 from ocp.diagnose.engine.findings import Name, Options
-from ocp.diagnose.engine.linearisation import Candidate, Linearisation, candidates, linearised, positive_of, put_back
+from ocp.diagnose.engine.linearisation import Candidate, Linearisation, candidates, linearised, put_back
 from ocp.diagnose.engine.pool import squares
 from ocp.effects.effect import Active, Effect, Scanned
 from robots.pose import Array, Mask
@@ -180,7 +180,7 @@ def _shortlist(
         a = np.linalg.solve(G, b[..., None])[..., 0]
         gain = np.where((np.abs(a) > rules.IMPLAUSIBLE).any(axis=1), 0.0, np.einsum("vi,vi->v", a, b))
         v = int(np.argmax(gain))
-        turned = bool((a[v] < 0)[positive_of(c.effect)].any())
+        turned = bool((a[v] < 0)[c.effect.positive].any())
         if gain[v] > 0:
             found.append(Entry(c.effect, name, c.scans[v], c.columns[:, v] * _scale(c), _scale(c), float(gain[v]), turned))
     return sorted(found, key=lambda e: -e.gain)[: rules.SHORTLIST]

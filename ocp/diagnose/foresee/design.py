@@ -22,7 +22,7 @@ from ocp.diagnose.foresee.separation import few_of
 from ocp.diagnose.rules import LEAST_CONTACT_ROWS, LEAST_READINGS
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.effects.catalogue import library
-from ocp.effects.effect import Effect, Parameter, Scanned
+from ocp.effects.effect import Effect, Scanned
 from ocp.model.cell import TrackerSetup, read_cell, read_tracker_setup
 from ocp.shell.text_table import table_lines
 from robots.csv_table import columns_named
@@ -169,7 +169,7 @@ def design_table(known: Sequence[Effect], columns: Sequence[Column], notes: Sequ
     """One line an effect: usual range, smallest size each plan sees and at which joints; then what cannot be seen, and why."""
     rows = [("effect", "usual range", *(c.head for c in columns))]
     for effect in known:
-        p = size_parameter(effect)
+        p = effect.sized_by
         cells = []
         for c in columns:
             mine = [x for x in c.lines if x.effect.name == effect.name]
@@ -184,11 +184,6 @@ def design_table(known: Sequence[Effect], columns: Sequence[Column], notes: Sequ
     told = "\n".join(f"note: {reason}" for reason in reasons if not needs_motion(reason))
     told = told.replace("tracker.csv", "the plan of readings").replace("force.csv", "the planned log")
     return "\n".join([*out, *told.splitlines(), *notes])
-
-
-def size_parameter(effect: Effect) -> Parameter:
-    """The key that says how large an effect is."""
-    return next(p for p in effect.parameters if p.unit != "name" and p.high > 0 and p.key not in ("order", "phase_rad"))
 
 
 def _seen(lines: Sequence[DesignLine], high: float) -> str:

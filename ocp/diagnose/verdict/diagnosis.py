@@ -13,7 +13,7 @@ from ocp.diagnose import rules
 from ocp.diagnose.engine.beam import NOTHING, Search, Weighed
 from ocp.diagnose.engine.channel_system import Channel, HeldOut, Resting, Scattering, WeighedReadings
 from ocp.diagnose.engine.findings import Diagnosis, Explanation, KernelTest, Location, Name, Options, Ranked, Screened
-from ocp.diagnose.engine.linearisation import Linearisation, linearised, names_of, positive_of, smallest_seen, stacked_columns
+from ocp.diagnose.engine.linearisation import Linearisation, linearised, names_of, smallest_seen, stacked_columns
 from ocp.diagnose.engine.pool import Family, given
 from ocp.diagnose.engine.search import Diverged, search_and_refit
 from ocp.diagnose.engine.selection import misses_far_more_than_noise, select_effects
@@ -270,7 +270,7 @@ def implausible(active: Sequence[Active]) -> list[tuple[Name, str]]:
         sd = np.sqrt(np.maximum(np.diag(one.covariance), 0.0))
         if (np.abs(one.a) - rules.IMPLAUSIBLE_SD * sd > rules.IMPLAUSIBLE * np.array(one.effect.prior_sd)).any():
             found.append((Name(*one.key), "its value is over three times what real cells show"))
-        for a, s, positive, key in zip(one.a, sd, positive_of(one.effect), one.effect.coefficients, strict=True):
+        for a, s, positive, key in zip(one.a, sd, one.effect.positive, one.effect.coefficients, strict=True):
             if positive and a < -rules.WRONG_SIGN_SD * s:
                 name = one.effect.parameters[0].key if key == "share" else key
                 found.append((Name(*one.key), f"{name} comes out with the wrong sign"))
