@@ -260,13 +260,9 @@ def most_telling(pool: CandidatePool, held: Sequence[Member]) -> list[Family]:
             families.append(family)
             continue
         odds = family.log_odds + float(np.log(len(rows) / count))
-        scans, among, within = (
-            tuple(family.scans[v] for v in rows),
-            max(family.among, count),
-            np.broadcast_to(family.within, count),
-        )
+        scans, among = tuple(family.scans[v] for v in rows), max(family.among, count)
+        within = np.broadcast_to(family.within, count)[rows]
         columns = np.ascontiguousarray(family.columns[:, rows])  # picked, they lie by variants
-        among = max(family.among, count)
         families.append(replace(family, scans=scans, columns=columns, log_odds=odds, among=among, within=within))
     return families
 
