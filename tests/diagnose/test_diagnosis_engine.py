@@ -254,7 +254,7 @@ def test_a_pair_that_neither_shows_alone():
     b = a + 0.15 * rng.normal(size=300)
     library = {n: effect(n, low=0.3) for n in ("e0", "e1", "e2")}
     columns = {("e0", 0): a[None, :, None], ("e1", 0): b[None, :, None], ("e2", 0): rng.normal(size=(1, 300, 1))}
-    channel = LinearChannel(2.0 * (a - b) + rng.normal(size=300), np.ones((300, 1)), np.full(1, np.inf), columns)
+    channel = LinearChannel(2.5 * (a - b) + rng.normal(size=300), np.ones((300, 1)), np.full(1, np.inf), columns)
     pool = linearised([channel], library, Options(prior_effects=0.3)).pool
     search = Search(pool, 3, 6)
     search.begin()

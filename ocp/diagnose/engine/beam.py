@@ -26,14 +26,13 @@ NOTHING = Weighed(0.0, ())
 
 def weigh(pool: CandidatePool, families: Sequence[int], near: Sequence[Member] = ()) -> Weighed:
     """Exact weight of a set: joint evidence at the best variants and sizes, each then averaged over its own variants and
-    sizes with the others held."""
+    sizes with the others held. Sought from the largest sizes on: two that nearly cancel show nothing while both are small."""
     known = {m.family: m for m in near}
     members: list[Member] = []
     for f in families:
-        members.append(known[f] if f in known else _best(pool, members, f).member)
-    if len(members) > 1:
-        for i in range(len(members)):
-            members[i] = _best(pool, members[:i] + members[i + 1 :], members[i].family).member
+        members.append(known[f] if f in known else _best(pool, members, f).member._replace(size=pool.largest(f)))
+    for i in range(len(members)):
+        members[i] = _best(pool, members[:i] + members[i + 1 :], members[i].family).member
     joint = given(pool, members)
     total = joint.log + joint.tailed
     for i, member in enumerate(members):
@@ -124,7 +123,7 @@ class Search:
         """All pairs whose first member is among the most telling: weighed roughly, then the best exactly."""
         order = [f for f in np.argsort(-gain)[: rules.PAIR_FIRSTS] if np.isfinite(gain[f])]
         found: dict[Key, float] = {}
-        firsts = [Member(int(f), int(first.variant[f]), float(first.size[f])) for f in order]
+        firsts = [Member(int(f), int(first.variant[f]), self.pool.largest(int(f))) for f in order]
         self.pool.look_ahead(firsts)
         for one in firsts:
             f = one.family
