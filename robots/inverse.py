@@ -8,6 +8,7 @@ Arms of one family have a closed inverse: axes 2 and 3 parallel, wrist axes in o
 
 from dataclasses import dataclass
 from functools import lru_cache
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -68,6 +69,17 @@ def arm_family(robot: Robot) -> ArmFamily:
             "have no closed list; use inverse_refined with a seed"
         )
     return family
+
+
+def refuse_other_arm(cell_file: Path, robot: Robot, what: str) -> None:
+    """Raises BadInput where the arm that a cell names has no closed list of postures; what: who needs it."""
+    try:
+        arm_family(robot)
+    except BadInput:
+        raise BadInput(
+            f"{cell_file}, robot.model: {robot.title}: axes 2 and 3 are not parallel or the wrist's axes do not meet in one "
+            f"point, and {what} needs an arm where they are and do; for this one there are ocp.calibrate and ocp.diagnose alone"
+        ) from None
 
 
 @lru_cache(maxsize=32)

@@ -37,6 +37,7 @@ from ocp.plan.removal.result import Removal, find_removal
 from ocp.plan.rules import LEAST_STEP, MOST_STEP
 from ocp.shell.progress import Phases
 from robots.errors import BadInput, Infeasible
+from robots.inverse import refuse_other_arm
 from robots.payload import refuse_overload
 from robots.robot import refuse_left_out
 from trajectories.blade import Blade
@@ -139,6 +140,7 @@ def cell_to_plan(cell_file: Path, blade_file: Path | None, options: PlanOptions)
     planned whatever the blade is."""
     cell = read_cell(cell_file, blade_file)
     refuse_left_out(cell_file, cell.robot, "a plan")
+    refuse_other_arm(cell_file, cell.robot, "a plan")
     if cell.workpiece.stl is None:
         raise BadInput(f"{cell_file}: no blade; name it on the command line or as workpiece.stl")
     _refuse_options(cell_file, cell, options)

@@ -31,6 +31,7 @@ from robots.calibration.observability import carried_point, expected_error, iden
 from robots.calibration.parameters import BASE_NAMES
 from robots.calibration.pose_choice import Pool, choose
 from robots.errors import BadInput, Infeasible
+from robots.inverse import refuse_other_arm
 from robots.kinematics import link_frames
 from robots.payload import refuse_overload
 from robots.pose import Array, apply, invert, transform_from_xyzabc
@@ -231,6 +232,7 @@ def make_poses(cell_file: Path, options: PoseOptions, phases: Phases) -> PosePla
     """Choose poses for a cell. Raises BadInput and Infeasible, one sentence each."""
     cell, setup = read_cell(cell_file), read_tracker_setup(cell_file)
     refuse_left_out(cell_file, cell.robot, "a program of poses, which is to touch nothing,", ("shape",))
+    refuse_other_arm(cell_file, cell.robot, "a choice of poses")
     nests = chosen_targets(setup, options.targets)
     payloads, notices = chosen_payloads(setup, options.payloads)
     notices += refuse_overload(str(cell_file), cell.robot, {name: setup.payloads[name] for name in payloads})

@@ -170,6 +170,11 @@ def test_an_arm_that_plan_refuses_is_a_mistake_where_a_plan_is_meant():
     assert [f.kind for f in findings_of_tables(alone, bare) if f.key == "robot.model"] == [DOUBT, UNMEASURED]
 
 
+def test_an_arm_without_a_list_of_postures_is_a_mistake_beside_blade_and_wheel(tmp_path):
+    told = check_cell(changed(tmp_path, ("kr210_r2700_extra", "ur10")))
+    assert not told.sound and any(one.startswith("mistake: robot.model: axes 2 and 3") for one in told.notices)
+
+
 def test_a_clamp_is_told_in_the_numbers_of_the_file(tmp_path):
     """The blade reaches from 0 to 120 mm along z; held above 1000 mm nothing of it is."""
     above = changed(tmp_path, ('clamp_side = "below"', 'clamp_side = "above"'), ("clamp_to_mm = 10.0", "clamp_to_mm = 1000.0"))

@@ -119,6 +119,7 @@ CELLS = {
     "a number that is none": ("force_N = 20.0", "force_N = nan", "process.force_N"),
     "no force at all": ("force_N = 20.0", "force_N = 0.0", "process.force_N"),
     "an unknown robot": ("kr210_r2700_extra", "kr9000", "kr9000"),
+    "an arm without a list of postures": ("kr210_r2700_extra", "ur10", "ocp.calibrate and ocp.diagnose alone"),
     "no TOML": ("[wheel]", "[wheel", "cell.toml"),
     "a clamp that holds nothing": ("clamp_to_mm = 10.0", "clamp_to_mm = -500.0", "nothing"),
     "a clamp that holds everything": ("clamp_to_mm = 10.0", "clamp_to_mm = 500.0", "the clamp"),

@@ -201,6 +201,12 @@ def test_the_checks_name_the_line_of_a_pause_they_do_not_know(made, tmp_path, li
     assert f"POSES_GRINDER_01.src, line {number}" in str(refused.value)
 
 
+def test_an_arm_without_a_list_of_postures_is_refused_by_its_file(tmp_path):
+    cell = written_cell(tmp_path, kr210_r2700_extra="ur10")
+    code, _, said = told("--cell", str(cell), "--out", str(tmp_path / "poses"))
+    assert code == 2 and f"{cell}, robot.model: Universal Robots UR10" in said and "ocp.diagnose alone" in said
+
+
 def test_the_summary_says_what_it_rests_on(made):
     poses = made[0]
     summary = json.loads((poses / "poses.json").read_text())
