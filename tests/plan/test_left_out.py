@@ -271,6 +271,15 @@ def test_a_wheel_as_wide_as_is_told_does_bear():
         assert (found.indentation > SEED_INDENTATION) == bears
 
 
+def test_a_cover_that_hardly_gives_way_is_not_told_as_a_hollow_blade():
+    """The bar is flat across and a wheel of steel touches it at the planned points: it is the cover, no turn would do."""
+    cell = bundled_cell()
+    hard = SimpleNamespace(limits=LineLaw().limits, evaluate=lambda force, *shape: np.full(len(force), 0.9 * SEED_INDENTATION))
+    where, reason, would_do = impossible(cell, CollisionScene(cell, BAR), hard, bar_pass())
+    assert where.all() and reason.startswith("the wheel's cover gives way by less than 0.05 mm under 20 N")
+    assert would_do == "use a softer cover, or more force"
+
+
 def test_a_place_out_of_reach_says_by_how_much():
     cell = bundled_cell()
     far = replace(cell, wheel=replace(cell.wheel, centre=cell.wheel.centre + [2.0, 0.0, 0.0]))

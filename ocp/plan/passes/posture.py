@@ -309,13 +309,17 @@ def keeps_ranges(cell: Cell, q: Array) -> Mask:
 
 
 def _hollow(cell: Cell, law: WheelLaw, path: BladePath, index: Index) -> tuple[str, str]:
-    """In words: waypoints `index` are too hollow for the wheel; the width, radius or turn with which it would bear there.
+    """In words: waypoints `index` are too hollow for the wheel; the width, radius or turn with which it would bear there. Or,
+    where the blade is not hollow, that the cover hardly gives way.
 
     Shapes scale: a wheel s times as wide bears on a hollow 1/s^2 times as curved, as its edges then lie as deep.
     """
     wheel, turns = cell.wheel, posture_grid(cell)[1]
     reason = f"the blade is too hollow for a wheel {wheel.width * 1e3:.0f} mm wide with {wheel.radius * 1e3:.0f} mm radius"
-    kxx, kyy, _ = turned_curvature(path.curvature[index], turns[:, None], wheel.radius)
+    kxx, kyy, kxy = turned_curvature(path.curvature[index], turns[:, None], wheel.radius)
+    if ((kxx >= law.limits["kxx"][0]) & (kxx * kyy >= kxy**2)).all():  # a wheel of steel would touch at the planned points
+        given = f"the wheel's cover gives way by less than {1e3 * SEED_INDENTATION:g} mm under {path.force[index].min():g} N"
+        return f"{given}, from which no plan can start", "use a softer cover, or more force"
     remedies = []
     if (kxx.max(axis=0) < law.limits["kxx"][0]).any():
         least = float((kxx.max(axis=0) - 1 / wheel.radius).min())
