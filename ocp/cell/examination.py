@@ -43,6 +43,7 @@ SPRING = 1e3  # N m/rad: a joint's spring below is written in MN m/rad
 HOT = 100.0  # C: no hall is as warm, 295 are kelvin
 SMALL = 1.0  # deg: an arc or a tolerance below is written in radians
 LONG = 1.0  # m from the flange to a blade's frame: what holds it is no holder
+LEANING = 5.0  # deg out of the wheel's plane, from which a contact direction and an axis do not belong together
 BROAD = 3.0  # diameters: a contact wheel wider than that is a drum
 HUGE = 10.0  # times the upper end of what real cells show of an effect
 GROUND = 0.999  # of the asked surface: what is less is told
@@ -237,6 +238,12 @@ def _place_findings(tables: CellTables, robot: Robot) -> Iterator[Finding]:
         if away > LONG:
             text = f"is {away:.2g} m from the flange: is it the wheel's place, in the base frame?"
             yield Finding(DOUBT, "workpiece.xyz_mm", text)
+    if tables.wheel is not None:
+        axis, towards = (np.array(v) / np.linalg.norm(v) for v in (tables.wheel.axis, tables.wheel.contact_direction))
+        leaning = float(np.degrees(np.arcsin(abs(axis @ towards))))
+        if leaning > LEANING:
+            text = f"leans {leaning:.0f} deg along the wheel's axis, which is left out of it: is one of them another?"
+            yield Finding(DOUBT, "wheel.contact_direction", text)
     if tables.wheel is not None and tables.wheel.width_mm > BROAD * 2 * tables.wheel.radius_mm:
         text = f"{tables.wheel.width_mm:g} is a drum, {2 * tables.wheel.radius_mm:g} mm across; width along the axle is asked for"
         yield Finding(DOUBT, "wheel.width_mm", text)

@@ -47,6 +47,12 @@ def test_how_large_the_wheel_is_stands_where_a_diameter_given_for_the_radius_is_
 BACKLASH = '[[effects]]\neffect = "backlash"\njoint = 5\nhalf_width_rad = {}\n'
 SLIPS = {
     "metres": (("[1700, 0, 900]", "[1.7, 0, 0.9]"), DOUBT, "wheel.centre_mm", "metres?"),
+    "a contact aside": (
+        ("contact_direction = [-1, 0, 0]", "contact_direction = [-1, 0.5, 0]"),
+        DOUBT,
+        "wheel.contact_direction",
+        "leans 27 deg along the wheel's axis",
+    ),
     "holder in metres": (("xyz_mm = [0, 0, 200]", "xyz_mm = [0, 0, 0.2]"), DOUBT, "workpiece.xyz_mm", "metres?"),
     "load in metres": (("com_mm = [10, 0, 160]", "com_mm = [0.01, 0, 0.16]"), DOUBT, "payloads.grinder.com_mm", "metres?"),
     "flange in N/m": (("_N_per_mm = 5.6", "_N_per_mm = 5600.0"), DOUBT, "force_flange.stiffness_N_per_mm", "N/m?"),
