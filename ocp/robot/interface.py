@@ -1,5 +1,6 @@
 """A robot file of one's own, written into a folder: from the template, or from a URDF."""
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -61,8 +62,9 @@ def _written(name: str, text: str, out: Path, overwrite: bool, inputs: list[Path
         (folder / SCHEMA_FILE).write_text(json_schema(RobotTables, "robot.toml"), encoding="utf-8")
         try:
             return load_robot(file)
-        except BadInput as error:  # the temporary file is gone when this is read
-            raise BadInput(str(error).replace(str(file), inputs[0].name if inputs else file.name)) from None
+        except BadInput as error:  # the temporary file is gone when this is read, and a line of it is none of the input's
+            place = re.compile(re.escape(str(file)) + r"(, line \d+)?")
+            raise BadInput(place.sub(lambda _: inputs[0].name if inputs else file.name, str(error))) from None
 
 
 def _refuse_name(name: str) -> None:

@@ -48,3 +48,11 @@ def test_what_is_refused_writes_nothing(tmp_path, words):
     told = call(*words, "--out", tmp_path / "robot")
     assert told.exit_code == 2 and told.stderr.count("\n") == 1
     assert not (tmp_path / "robot").exists()
+
+
+def test_an_inertia_that_no_body_has_is_refused_without_a_line_that_the_urdf_does_not_have(tmp_path):
+    file = tmp_path / "arm.urdf"
+    text = (ROOT / "docs" / "examples" / "arm.urdf").read_text()
+    file.write_text(text.replace('ixx="0.7" iyy="1.9" izz="2.0" ixy="0"', 'ixx="0.7" iyy="1.9" izz="2.0" ixy="5"'))
+    told = call("import", file, "--out", tmp_path / "out")
+    assert told.exit_code == 2 and "refused: arm.urdf: links.link4: " in told.stderr
