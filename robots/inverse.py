@@ -71,15 +71,21 @@ def arm_family(robot: Robot) -> ArmFamily:
     return family
 
 
+def planned_family(robot: Robot) -> ArmFamily | None:
+    """The closed inverse that planning needs, None where the arm has none."""
+    try:
+        return arm_family(robot)
+    except BadInput:
+        return None
+
+
 def refuse_other_arm(cell_file: Path, robot: Robot, what: str) -> None:
     """Raises BadInput where the arm that a cell names has no closed list of postures; what: who needs it."""
-    try:
-        arm_family(robot)
-    except BadInput:
+    if planned_family(robot) is None:
         raise BadInput(
             f"{cell_file}, robot.model: {robot.title}: axes 2 and 3 are not parallel or the wrist's axes do not meet in one "
             f"point, and {what} needs an arm where they are and do; for this one there are ocp.calibrate and ocp.diagnose alone"
-        ) from None
+        )
 
 
 @lru_cache(maxsize=32)

@@ -29,6 +29,7 @@ from robots.calibration.validation import by_kind
 from robots.column_mapping import ColumnMapping, read_column_mapping
 from robots.csv_table import OURS
 from robots.errors import BadInput, Infeasible
+from robots.inverse import planned_family
 from robots.pose import Array, abc_from_rotation
 from robots.toml_files import toml_text
 
@@ -200,7 +201,8 @@ def _use(made: TrackerCalibration, out: Path) -> str:
         return " ".join([nothing, *doubts]).removesuffix(".")
     if errors.mean() > 1.5 * full.mean():
         return f"Method full meets the same readings within {1e3 * full.mean():.3f} mm: use that one"
-    told = f"{out / 'cell.toml'} is the cell with it, for {'ocp.plan' if made.setup.tables.workpiece else 'diagnosing the arm'}"
+    planned = made.setup.tables.workpiece is not None and planned_family(made.setup.robot) is not None
+    told = f"{out / 'cell.toml'} is the cell with it, for {'ocp.plan' if planned else 'diagnosing the arm'}"
     return f"With doubts: {' '.join(doubts)} {told}" if doubts else told
 
 

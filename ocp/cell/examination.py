@@ -11,7 +11,6 @@ from pathlib import Path
 
 import numpy as np
 
-from ocp.cell.new import planned_family
 from ocp.effects.cell_effects import effect_of
 from ocp.model.cell import Cell, TrackerSetup, payloads_of, read_cell, read_tracker_setup
 from ocp.model.cell_schema import CellTables, LinkTarget
@@ -22,6 +21,7 @@ from ocp.plan.passes.stretches import LEAST_GROUND_SHARE, NO_ROOM, LeftOut, Line
 from ocp.plan.paths import LaidPaths, PlanOptions, lay_paths, refuse_flange
 from ocp.shell.progress import Phases
 from robots.errors import BadInput, Infeasible
+from robots.inverse import planned_family
 from robots.payload import overload
 from robots.pose import Array, apply, invert
 from robots.robot import MOVES, Robot, left_out_notices

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from ocp.cell.examination import DOUBT, KNOWN, MISTAKE, UNMEASURED, Examined, examine
-from ocp.cell.new import held_upright, new_cell_text, placed_wheel, planned_family
+from ocp.cell.new import held_upright, new_cell_text, placed_wheel
 from ocp.data import CELL
 from ocp.model.cell import files_of, read_cell, read_tracker_setup
 from ocp.model.cell_schema import CellTables
@@ -16,6 +16,7 @@ from ocp.shell.cache import sha256
 from ocp.shell.output import whole_folder
 from ocp.shell.progress import Phases, Progress
 from robots.errors import BadInput
+from robots.inverse import planned_family
 from robots.robot import left_out_notices, load_robot
 from robots.toml_files import json_schema
 from trajectories.blade import find_shape, read_blade
@@ -98,10 +99,10 @@ def _counted(seen: Examined) -> str:
 
 
 def _ground(seen: Examined) -> str:
-    """How much of the blade can be ground, where that was tried."""
+    """How much of the blade can be reached, where that was tried; whether axes and torques keep the feeds is seen by planning."""
     if seen.grindable is None:
         return ""
-    return f"; {100 * seen.grindable.share:.1f} % of the asked surface can be ground"
+    return f"; {100 * seen.grindable.share:.1f} % of the asked surface can be reached, at what speed a plan tells"
 
 
 def show_cell(

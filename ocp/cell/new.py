@@ -11,8 +11,7 @@ from ocp.model.cell import Cell, read_cell
 from ocp.plan.clearance import flange_pose
 from ocp.plan.passes.posture import contact_poses, keeps_ranges, posture_grid
 from ocp.plan.paths import PlanOptions, lay_paths
-from robots.errors import BadInput
-from robots.inverse import ArmFamily, arm_family, inverse_branches
+from robots.inverse import ArmFamily, arm_family, inverse_branches, planned_family
 from robots.pose import Array, abc_from_rotation
 from robots.robot import Robot
 from trajectories.blade import AerofoilShape, Blade
@@ -35,14 +34,6 @@ class HeldAt:
     R: Array
     clamp_normal: Array
     clamp_offset: float
-
-
-def planned_family(robot: Robot) -> ArmFamily | None:
-    """The closed inverse that planning needs, None where the arm has none."""
-    try:
-        return arm_family(robot)
-    except BadInput:
-        return None
 
 
 def held_upright(blade: Blade, shape: AerofoilShape) -> HeldAt:

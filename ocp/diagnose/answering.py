@@ -43,6 +43,7 @@ from ocp.shell.progress import Phases
 from robots.calibration.mistakes import refuse_mistakes
 from robots.calibration.solver import Campaign
 from robots.errors import BadInput, Infeasible
+from robots.inverse import planned_family
 from robots.pose import Array
 
 
@@ -290,7 +291,8 @@ def _safe(answer: Answer, out: Path) -> str:
         return f"{out / 'corrected_cell.toml'} holds {told}, which explains nothing and fades outside what was measured"
     if told_as(answer.diagnosis) == "ambiguous" and not answer.written:
         return f"{out / 'corrected_cell.toml'} corrects nothing of it; measure what the report asks for"
-    planned = any(one.effect.along is None for one in answer.written)  # what depends on a recording's past is in no plan
+    # What depends on a recording's past is in no plan, and for some arms there is none.
+    planned = planned_family(answer.data.setup.robot) is not None and any(one.effect.along is None for one in answer.written)
     return {
         "explained": f"{out / 'corrected_cell.toml'} {'plans with it' if planned else 'holds it, which no plan can act on'}",
         "ambiguous": f"{out / 'corrected_cell.toml'} holds the likeliest; measure what the report asks for before relying on it",

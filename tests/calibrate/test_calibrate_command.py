@@ -13,9 +13,11 @@ import numpy as np
 import pytest
 
 from ocp.calibrate.__main__ import app
+from ocp.calibrate.interface import _use
 from ocp.model.cell import read_cell
 from ocp.model.theta import NAMES, believed_theta
 from robots.calibration.store import read_calibration
+from robots.robot import load_robot
 from robots.tracker_readings import Readings
 from tests.support.formats import PAGE, told_keys
 from tests.support.simulated_campaign import campaign_readings, measured, random_truth
@@ -172,3 +174,11 @@ def test_campaigns_that_cannot_tell_anything_are_refused(tmp_path):
     stood = [f"{row},{'' if k == 7 else 'hall'}" for k, row in enumerate(rows)]
     (folder / "stood.csv").write_text("\n".join([f"{header},station", *stood]))
     assert "line 9, column station: '' has few readings (1), 4 are" in refused(folder, "stood.csv", "--cell", "cell.toml")
+
+
+@pytest.mark.parametrize(("arm", "use"), [("kr210_r2700_extra", "for ocp.plan"), ("ur10", "for diagnosing the arm")])
+def test_a_cell_is_for_planning_where_its_arm_can_be_planned(monkeypatch, arm, use):
+    monkeypatch.setattr("ocp.calibrate.interface.doubts_about", lambda made: ())
+    methods = SimpleNamespace(error={"own": np.full(9, 1e-4)}, gained=lambda method: (1e-3, 1e-4))
+    setup = SimpleNamespace(robot=load_robot(arm), tables=SimpleNamespace(workpiece=object()))
+    assert _use(SimpleNamespace(method="own", methods=methods, setup=setup), Path("out")).endswith(use)

@@ -11,10 +11,11 @@ import trimesh
 from typer.testing import CliRunner
 
 from ocp.cell.__main__ import app
-from ocp.cell.new import held_upright, nearest_whole, planned_family, wheel_region
+from ocp.cell.new import held_upright, nearest_whole, wheel_region
 from ocp.data import CELL
 from ocp.model.cell import read_cell, read_tracker_setup
 from ocp.plan.paths import PlanOptions, lay_paths
+from robots.inverse import planned_family
 from robots.pose import apply, make_transform
 from robots.robot import catalogue, load_robot
 from tests.support.browser import CHROMIUM, browser

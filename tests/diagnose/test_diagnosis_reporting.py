@@ -15,9 +15,11 @@ from ocp.diagnose.engine.findings import Location, Name
 from ocp.diagnose.report import verdict_sentence
 from ocp.diagnose.verdict.shrinkage import ANOTHER_DAY, NONE, Shrinkage
 from ocp.shell.progress import Phases
+from robots.robot import load_robot
 from tests.support.diagnosis_folder import write_tracker_folder
 from tests.support.simulated_campaign import campaign_readings
 
+USUAL = "kr210_r2700_extra"
 LATE = ("matplotlib", "jinja2", "trimesh", "networkx")  # seconds of imports that a tracker's diagnosis does not wait for
 
 
@@ -79,19 +81,21 @@ def test_of_a_cause_with_two_names_it_is_told_that_it_is_certain(second):
 
 
 @pytest.mark.parametrize(
-    ("verdict", "active", "written", "told", "safe"),
+    ("verdict", "active", "written", "told", "safe", "arm"),
     [
-        ("partly", (), (), "unexplained", "Do not rely on the believed cell there"),
-        ("partly", (1,), (1,), "partly", "holds what is known"),
-        ("ambiguous", (1,), (), "ambiguous", "corrects nothing of it; measure what the report asks for"),
-        ("ambiguous", (1,), (1,), "ambiguous", "holds the likeliest"),
+        ("partly", (), (), "unexplained", "Do not rely on the believed cell there", USUAL),
+        ("partly", (1,), (1,), "partly", "holds what is known", USUAL),
+        ("ambiguous", (1,), (), "ambiguous", "corrects nothing of it; measure what the report asks for", USUAL),
+        ("ambiguous", (1,), (1,), "ambiguous", "holds the likeliest", USUAL),
+        ("explained", (1,), (1,), "explained", "plans with it", USUAL),
+        ("explained", (1,), (1,), "explained", "holds it, which no plan can act on", "ur10"),
     ],
 )
-def test_nothing_is_said_to_be_held_that_is_not(verdict, active, written, told, safe):
-    found = SimpleNamespace(verdict=verdict, active=active)
+def test_nothing_is_said_to_be_held_that_is_not(verdict, active, written, told, safe, arm):
+    found, data = SimpleNamespace(verdict=verdict, active=active), SimpleNamespace(setup=SimpleNamespace(robot=load_robot(arm)))
     effects = [SimpleNamespace(effect=SimpleNamespace(along=None)) for _ in written]
     assert verdict_sentence.told_as(found) == told
-    assert safe in answering._safe(SimpleNamespace(diagnosis=found, patch=None, written=effects), Path("out"))
+    assert safe in answering._safe(SimpleNamespace(diagnosis=found, patch=None, written=effects, data=data), Path("out"))
 
 
 def test_columns_of_sealed_files_that_are_passed_over_are_told(unprinted, tmp_path):
