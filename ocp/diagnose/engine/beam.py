@@ -22,22 +22,27 @@ class Weighed:
 
 
 NOTHING = Weighed(0.0, ())
+SWEEPS = 8  # through the members of a set, at most, until none has a better variant or size
 
 
 def weigh(pool: CandidatePool, families: Sequence[int], near: Sequence[Member] = ()) -> Weighed:
     """Exact weight of a set: joint evidence at the best variants and sizes, each then averaged over its own variants and
-    sizes with the others held. Sought from the largest sizes on: two that nearly cancel show nothing while both are small."""
-    known = {m.family: m for m in near}
-    members: list[Member] = []
+    sizes with the others held. Sought from the largest sizes on: two that nearly cancel show nothing while both are small;
+    and until none of them has a better size: else what two explain alike counts twice."""
+    known, members = {m.family: m for m in near}, list[Member]()
     for f in families:
-        members.append(known[f] if f in known else _best(pool, members, f).member._replace(size=pool.largest(f)))
-    for i in range(len(members)):
-        members[i] = _best(pool, members[:i] + members[i + 1 :], members[i].family).member
+        members.append(known[f] if f in known else _best(pool, members, f).member._replace(size=pool.families[f].sizes[-1]))
+    for _ in range(SWEEPS):
+        before = [*members]
+        for i, m in enumerate(before):
+            members[i] = _best(pool, members[:i] + members[i + 1 :], m.family).member
+        if members == before:
+            break
     joint = given(pool, members)
     total = joint.log + joint.tailed
-    for i, member in enumerate(members):
-        best = _best(pool, members[:i] + members[i + 1 :], member.family)
-        total += best.mean - (joint.log - best.others) + pool.families[member.family].log_odds
+    for i, m in enumerate(members):
+        best = _best(pool, members[:i] + members[i + 1 :], m.family)
+        total += best.mean - (joint.log - best.others) + pool.families[m.family].log_odds
     return Weighed(float(total), tuple(members))
 
 
@@ -123,7 +128,7 @@ class Search:
         """All pairs whose first member is among the most telling: weighed roughly, then the best exactly."""
         order = [f for f in np.argsort(-gain)[: rules.PAIR_FIRSTS] if np.isfinite(gain[f])]
         found: dict[Key, float] = {}
-        firsts = [Member(int(f), int(first.variant[f]), self.pool.largest(int(f))) for f in order]
+        firsts = [Member(int(f), int(first.variant[f]), self.pool.families[f].sizes[-1]) for f in order]
         self.pool.look_ahead(firsts)
         for one in firsts:
             f = one.family

@@ -90,14 +90,14 @@ def library_families(found: Sequence[Candidate], stack: Stack, options: Options,
         scale = np.asarray(c.effect.prior_sd, float)
         projected = stack.apply(c.columns.reshape(n, -1)).reshape(n, count, m)
         projected *= scale
-        visible = np.einsum("nvi,nvi->vi", projected, projected).max(axis=1) > rules.SEEN_LAMBDA
-        visible |= (c.effect.name, c.joint) in active
+        energy = np.einsum("nvi,nvi->vi", projected, projected).max(axis=1)
+        visible = (energy > rules.SEEN_LAMBDA) | ((c.effect.name, c.joint) in active)
         if not visible.any():
             continue
         scans = tuple(s for s, k in zip(c.scans, visible, strict=True) if k)
         odds = log_odds(c.effect, kinds, options.prior_effects) + float(np.log(len(c.scans) / max(c.among, len(c.scans))))
         seen = projected if visible.all() else projected[:, visible]
-        name, sizes = Name(c.effect.name, c.joint), widths_of(c.effect, c.joint, scans)
+        name, sizes = Name(c.effect.name, c.joint), widths_of(c.effect, c.joint, scans, float(energy.max()))
         families.append(Family(name, c.effect, scans, seen, scale, sizes, c.effect.positive, odds, among=c.among))
     return families
 
@@ -122,7 +122,7 @@ def usual_ripple(f: Family, ripples: Ripples | None) -> tuple[Array, float]:
     other gears of this machine are surely (`QUIET`) below it: where they are, one that is not stands out. Where they are above
     it more likely than not, the line of this gear is one of theirs."""
     assert f.effect is not None
-    usual = _twin_sizes(f.effect, f.scans)
+    usual = np.full(SIZES, rules.BACKGROUND_RIPPLE * f.effect.lower_end(f.scans))
     if ripples is None:
         return usual, rules.RIPPLE_ODDS
     sizes, weight = ripples[0] / f.scale[0], np.cumsum(ripples[1][f.name.joint - 1])
@@ -139,21 +139,18 @@ def usual_ripple(f: Family, ripples: Ripples | None) -> tuple[Array, float]:
 def rival_of(effect: Effect, joint: int, scans: Sequence[Scanned]) -> Rival | None:
     """What of the background takes an effect's gap: its own twin below the usual range, or play in all joints."""
     if has_twin(effect, joint, scans):
-        return Rival(_twin_sizes(effect, scans), float(np.log(rules.RIPPLE_ODDS / len(scans))), 0)
+        sizes = np.full(SIZES, rules.BACKGROUND_RIPPLE * effect.lower_end(scans))
+        return Rival(sizes, float(np.log(rules.RIPPLE_ODDS / len(scans))), 0)
     if joint and "approach" in effect.needs:
         return Rival(rules.BACKGROUND_PLAY * effect.lower_end(scans), float(np.log(rules.PLAY_ODDS)), 6 - effect.size)
     return None
 
 
-def widths_of(effect: Effect, joint: int, scans: Sequence[Scanned]) -> Array:
-    """Prior widths (T,) of an effect as shares of the usual range's upper end: from what is smaller than usual, where that has no
-    rival in the background."""
-    return size_grid(effect.lower_end(scans) * (1.0 if rival_of(effect, joint, scans) else rules.SMALLER))
-
-
-def _twin_sizes(effect: Effect, scans: Sequence[Scanned]) -> Array:
-    """Sizes (T,) of what every machine has a little of, as shares of the upper end."""
-    return np.full(SIZES, rules.BACKGROUND_RIPPLE * effect.lower_end(scans))
+def widths_of(effect: Effect, joint: int, scans: Sequence[Scanned], energy: float) -> Array:
+    """Prior widths (T,) of an effect as shares of the usual range's upper end, at which its columns have this mean square: also
+    smaller than usual where that has no rival in the background and these readings show it."""
+    least, shown = effect.lower_end(scans), float(np.sqrt(rules.SEEN_LAMBDA / max(energy, 1e-12)))
+    return size_grid(least if rival_of(effect, joint, scans) else min(least, max(shown, rules.SMALLER * least)))
 
 
 def smallest_seen(
@@ -162,7 +159,7 @@ def smallest_seen(
     """Share of the usual upper end from which an effect at a joint is named nine times of ten, inf: never; among: of how many
     variants `scans` are the most telling; energy: mean square of its columns at the upper end, others (k,): at its other joints.
     Play of all joints stands against that of one: of the others it pays for what these readings show of them."""
-    rival, sizes = rival_of(effect, joint, scans), widths_of(effect, joint, scans)
+    rival, sizes = rival_of(effect, joint, scans), widths_of(effect, joint, scans, energy)
     beside = others if rival is not None and rival.beside else None
     # What physics holds positive has a half-normal prior, twice as dense where it is.
     each = odds - float(np.log(among)) + int(effect.positive.sum()) * float(np.log(2.0))

@@ -133,10 +133,6 @@ class CandidatePool:
         group, start = self.place[family]
         return self.groups[group], slice(start, start + self.families[family].columns.shape[1])
 
-    def largest(self, family: int) -> float:
-        """Widest prior size of a family."""
-        return float(self.families[family].sizes[-1])
-
     def columns(self, member: Member) -> Array:
         """Projected columns (N, m) of a member in units of the priors' upper ends."""
         return self.families[member.family].columns[:, member.variant]
