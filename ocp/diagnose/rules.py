@@ -15,9 +15,9 @@ an effect are not accused. Reason: three of 180 machines by another hand with no
 the first 120 one, at 0.3 four, and the first name is as often right."""
 
 SMALLER = 0.2
-"""[-] Of the usual range's lower end: the least of the prior widths of what the background has no little of. Guards: a good
-wheel's runout is not told as something unknown that goes with its turn. Reason: thousands of rows show less than is usual; of
-18 force logs of the blind check (seed 5846) with a name missing MEASURED."""
+"""[-] Of the usual range's lower end: the least of the prior widths of what the background has no little of. Guards: a small
+effect that many rows show is not told as something unknown, nor left out beside another. Reason: a runout of 2 um, a splice of
+0.2 N and stock of 19 um in force logs of the blind check (seed 5846, worlds 105, 5, 15) had no name without it."""
 
 PRIOR_UNKNOWN = 0.05
 """[-] Probability of an effect outside the catalogue before any reading, shared by kinds of kernels, then by joints. Guards:

@@ -6,8 +6,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from ocp.diagnose.engine.beam import Weighed
+from ocp.diagnose import rules
+from ocp.diagnose.engine.beam import Weighed, weigh
+from ocp.diagnose.engine.evidence import size_grid
 from ocp.diagnose.engine.findings import Name
+from ocp.diagnose.engine.linearisation import widths_of
 from ocp.diagnose.engine.pool import Family, Member, given, make_pool, most_telling, scan, scan_one
 from ocp.diagnose.verdict.probabilities import merged, twins
 from ocp.effects.catalogue import library
@@ -71,6 +74,31 @@ def test_likelier_variants_weigh_more_and_picked_ones_as_before():
     assert len(picked.families[0].scans) < 41
     weight = [scan(p, given(p, ())).log[0] + p.families[0].log_odds for p in (pools[1], picked)]
     assert weight[1] == pytest.approx(weight[0], abs=1e-3)
+
+
+@pytest.mark.parametrize("seed", [31, 36, 39, 53])
+def test_a_set_weighs_the_same_wherever_it_is_begun(seed):
+    """Steps of one and of three coefficients beside a slow growth, begun anew or from members at a wrong instant and size."""
+    rng, t = np.random.default_rng(seed), np.linspace(0.0, 1.0, N)
+    step = (t[:, None] > np.linspace(0.1, 0.9, 8)) * 1.0
+    uneven, more = 1.0 + 0.3 * rng.normal(size=N), rng.normal(size=(N, 2))
+    three = np.stack([np.column_stack([one, one[:, None] * more]) for one in step.T], axis=1)
+    slow = np.cos(np.pi * np.outer(t, [1.0, 2.0]))[:, None]
+    y = (40.0 * step[:, 3] * uneven + 20.0 * slow[:, 0, 0]) / np.sqrt(N) + rng.normal(size=N)
+    columns = 300.0 * (step * uneven[:, None])[:, :, None], 300.0 * three, 100.0 * slow
+    scans = [tuple({"at_s": k} for k in range(c.shape[1])) for c in columns]
+    made = [replace(family("any", c[:, 0]), columns=c / np.sqrt(N), sizes=size_grid(0.02)) for c in columns]
+    pool = make_pool(y, N, [replace(f, scans=s) for f, s in zip(made, scans, strict=True)])
+    begun = weigh(pool, [0, 1, 2], [Member(0, 5, 0.02), Member(1, 5, 0.02), Member(2, 0, 0.02)])
+    assert begun.log == pytest.approx(weigh(pool, [0, 1, 2]).log, abs=0.01)
+
+
+def test_what_is_smaller_than_usual_is_weighed_where_readings_show_it():
+    runout, play = library()["wheel_runout"], library()["backlash"]
+    least = runout.lower_end([{}])
+    for energy, begin in ((10.0, least), (4.0 / (0.5 * least) ** 2, 0.5 * least), (1e9, rules.SMALLER * least)):
+        assert widths_of(runout, 0, [{}], energy) == pytest.approx(size_grid(begin))
+    assert widths_of(play, 2, [{}], 1e9) == pytest.approx(size_grid(play.lower_end([{}])))  # every gear has a little
 
 
 def test_a_twin_may_lean_on_what_else_is_in_the_set():
