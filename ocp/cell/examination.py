@@ -112,7 +112,8 @@ def examine(path: Path, phases: Phases) -> Examined:
     if cell.workpiece.stl is None:
         return Examined(path, setup, (*found, Finding(DOUBT, "workpiece.stl", "names no blade; name one, or hand it in")), None)
     if planned_family(cell.robot) is None:
-        why = "axes 2 and 3 are not parallel or the wrist's axes do not meet, so no program can be planned with this arm"
+        why = "axes 2 and 3 are not parallel or the wrist's axes do not meet, so no program can be planned with this arm; "
+        why += "calibrate and diagnose need none"
         return Examined(path, setup, (*found, Finding(MISTAKE, "robot.model", why)), None)
     with phases.phase("blade"):
         blade = read_blade(cell.workpiece.stl, cell.workpiece.stl_unit)

@@ -211,23 +211,20 @@ def steps_between_runs(joint: int, seen: Surroundings) -> Sequence[Scanned]:
 def odds_of_instants(scans: Sequence[Scanned], time: Array) -> Array:
     """Log prior odds (V,) of variants over equal ones; time (n,) s: of the readings, on the clock of at_s.
 
-    What happens at once comes with the work, at any of the instants alike, or with time, of which each instant has all that
-    lies nearest to it: the longer nobody looked, the likelier it was then. Both weigh the same. How long nobody looked before
-    the first reading is not known: as long as all of them took. Where there is more than at_s (a nest, a side), in each case
-    for itself; what grows slowly has no instant.
+    What happens at once comes with the work, at any of the instants alike, or with time, as likely as the gap between readings
+    that an instant lies in is long. Both weigh the same. How long nobody looked before the first reading is not known: as long
+    as all of them took. Where there is more than at_s (a nest, a side), in each case for itself; what grows slowly has no
+    instant.
     """
     odds, known = np.zeros(len(scans)), np.unique(time[np.isfinite(time)])
     cases = defaultdict[tuple[Any, ...], list[int]](list)
-    for v, s in enumerate(scans):
+    for v, s in enumerate(scans if len(known) > 1 else ()):
         if "at_s" in s and s.get("until_s", s["at_s"]) <= s["at_s"]:
             cases[scan_key({k: w for k, w in s.items() if k not in ("at_s", "until_s")})].append(v)
-    for rows in cases.values() if len(known) > 1 else ():
-        order = np.array(sorted(rows, key=lambda v: scans[v]["at_s"]))
-        at = np.array([scans[v]["at_s"] for v in order])
-        nearest = np.searchsorted(0.5 * (at[1:] + at[:-1]), 0.5 * (known[1:] + known[:-1]))
-        lasted = np.bincount(nearest, np.diff(known), len(at))
-        lasted[at <= known[0]] = np.ptp(known)
-        odds[order] = np.log(0.5 + 0.5 * len(at) * lasted / lasted.sum())
+    gaps = np.concatenate([[np.ptp(known)], np.diff(known), [0.0]]) if cases else np.empty(0)
+    for rows in cases.values():
+        lasted = gaps[np.searchsorted(known, [scans[v]["at_s"] for v in rows])]
+        odds[rows] = np.log(0.5 + 0.5 * len(rows) * lasted / lasted.sum()) if lasted.any() else 0.0
     return odds
 
 

@@ -161,7 +161,7 @@ def _summary(plan: Plan, written: _Written) -> list[tuple[str, str]]:
     deflection = " to ".join(f"{c * goal * 1e3:.4f}" for c in (compliance.min(), compliance.max()))
     worst = [max(getattr(s.trajectory.worst, name) for s in motion.segments) for name in ("velocity", "acceleration", "torque")]
     feed = max(s.trajectory.worst.feed for s in ways)
-    said = " of the planned motion (the program travels by slow PTP and takes longer)" if plan.kind == "lin" else ""
+    said = " of the planned motion: the program travels by slow PTP and takes longer" if plan.kind == "lin" else ""
     rows = [
         ("Passes, waypoints", f"{len(motion.passes)}, {plan.waypoints}", ""),
         ("Force asked for", _asked(plan)[1], ""),
@@ -172,7 +172,7 @@ def _summary(plan: Plan, written: _Written) -> list[tuple[str, str]]:
         ("Stiffness of the contact chain", f"{stiffness.min() / 1e3:.2f} to {stiffness.max() / 1e3:.2f}", "N/mm"),
         ("Blade deflection under the force", deflection, "mm"),
         ("Axes read back against the plan", f"{np.degrees(back.axis_error):.6f}", "deg"),
-        (f"Duration{said}, of it in contact", f"{motion.duration:.1f}, {contact:.1f}", "s"),
+        ("Duration, of it in contact", f"{motion.duration:.1f}, {contact:.1f}", f"s{said}"),
         ("Largest use of speed, acceleration, torque limits", ", ".join(f"{w:.3f}" for w in worst), ""),
         ("Largest feed over the one asked for", f"{feed:.3f}", ""),
         ("Table of the wheel, largest held-out error", f"{plan.wheel_error * 1e6:.1f}", "um"),

@@ -260,6 +260,8 @@ def test_a_pair_that_neither_shows_alone():
     search.begin()
     search.grow()
     assert {pool.families[f].name.effect for f in search.best()[0]} == {"e0", "e1"}
+    begun = [weigh(pool, [0, 1], search.sets[frozenset(key)].members).log for key in ([], [0], [1])]  # from either of them alike
+    assert begun == pytest.approx([search.sets[frozenset([0, 1])].log] * 3, abs=0.01)
 
 
 def wave_channel(seed, amplitude=0.0):

@@ -336,11 +336,12 @@ def test_a_shift_is_as_likely_in_a_pause_as_the_pause_is_long():
     time = np.array([0.0, 1.0, 2.0, 3.0, 97.0, 98.0, 99.0, 100.0])
     at = [0.0, 1.5, 50.0, 98.5]
     share = np.exp(odds_of_instants([{"at_s": t} for t in at], time)) / 4
-    # What lies nearest: to 0 one second, to 1.5 two, to 50 the pause, to 98.5 the rest; 0 is the first reading.
-    assert share == pytest.approx(0.5 / 4 + 0.5 * np.array([100.0, 2.0, 94.0, 3.0]) / 199.0)
+    assert share == pytest.approx(0.5 / 4 + 0.5 * np.array([100.0, 1.0, 94.0, 1.0]) / 196.0)
     assert share.sum() == pytest.approx(1.0)
     scans = [{"target": name, "at_s": t} for name in "ab" for t in at[::-1]]
     assert np.exp(odds_of_instants(scans, time)) / 4 == pytest.approx([*share[::-1], *share[::-1]])
     slow = [{"at_s": 0.0, "until_s": 100.0}, *({"at_s": t, "until_s": t} for t in at)]
     assert np.exp(odds_of_instants(slow, time)) == pytest.approx([1.0, *(4 * share)])
-    assert not odds_of_instants([{"order": 3.0}, {}], time).any() and not odds_of_instants([{"at_s": 1.0}], time[:0]).any()
+    for none in ([{"order": 3.0}, {}], [{"at_s": 200.0}, {"at_s": 300.0}], [{"at_s": 1.5}]):
+        assert not odds_of_instants(none, time).any()
+    assert not odds_of_instants([{"at_s": 1.0}], np.full(2, np.nan)).any()

@@ -204,7 +204,9 @@ def test_classic_lines_replace_an_old_folder_only_when_asked(small, tmp_path):
     rests = len(re.findall(r"(?m)^LIN (?!.*C_VEL)", text))
     assert rests == len(re.findall("(?m)^; pass$", text)) > 0 and "rests" not in told.out
     summary = json.loads((tmp_path / "plan" / "plan.json").read_text())["summary"]
-    assert any(one.startswith("Duration of the planned motion (the program travels by slow PTP") for one in summary)
+    assert summary["Duration, of it in contact"].endswith(
+        "of the planned motion: the program travels by slow PTP and takes longer"
+    )
     off = re.search(
         r"blend are off by up to ([\d.]+) N on the ramps of a pass and by up to ([\d.]+) % in force over feed", told.out
     )

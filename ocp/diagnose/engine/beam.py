@@ -31,7 +31,8 @@ def weigh(pool: CandidatePool, families: Sequence[int], near: Sequence[Member] =
     and until none of them has a better size: else what two explain alike counts twice."""
     known, members = {m.family: m for m in near}, list[Member]()
     for f in families:
-        members.append(known[f] if f in known else _best(pool, members, f).member._replace(size=pool.families[f].sizes[-1]))
+        one = known[f] if f in known else _best(pool, members, f).member
+        members.append(one._replace(size=pool.families[f].sizes[-1]))
     for _ in range(SWEEPS):
         before = [*members]
         for i, m in enumerate(before):

@@ -16,9 +16,10 @@ coefficients a ~ N(0, t^2) in units of the prior's upper end, and data y, with G
     log Z(t) = -1/2 log det(1 + t^2 G) - (nu + nu0) / 2 log(nu0 + R)  + const          (docs/diagnosis.md, eqs. 3 and 4)
 
 The noise model's scale is known only so well: its inverse variance has a gamma prior worth nu0 rows, integrated in closed
-form (a Student-t evidence). Sizes t stand on a logarithmic grid between the lower and the upper end of the typical range,
-which stands for log-uniform priors. Coefficients that physics holds positive have half-normal priors: a factor of twice
-their posterior probability of being positive each (and a chance `WRONG_SIGN` of a sign or a mounting that is not as believed).
+form (a Student-t evidence). Sizes t stand on a logarithmic grid up to the upper end of the typical range, from its lower end
+on or, where readings show it, from less, which stands for log-uniform priors. Coefficients that physics holds positive have
+half-normal priors: a factor of twice their posterior probability of being positive each (and a chance `WRONG_SIGN` of a sign or
+a mounting that is not as believed).
 
 **Seen**: the size at which an effect's evidence beats 'no gap' in nine data sets of ten. At detectability lambda the
 quadratic form b^T G^-1 b that m coefficients gain is noncentral chi-square distributed; its tenth percentile x(lambda) puts
@@ -144,12 +145,9 @@ def stack(channels: tuple[Channel, ...], put_back: Array) -> Stack:
 SIZES = 4  # of the grid of prior widths
 
 
-@lru_cache(maxsize=256)
 def size_grid(ratio: float) -> Array:
     """Prior widths (T,) as shares of the upper end, from `ratio` (lower over upper end) to 1."""
-    grid = np.geomspace(float(np.clip(ratio, 0.01, 0.5)), 1.0, SIZES)
-    grid.setflags(write=False)  # a thousand families ask for a few dozens
-    return grid
+    return np.asarray(np.geomspace(float(np.clip(ratio, 0.01, 0.5)), 1.0, SIZES))
 
 
 def log_evidence(G: Array, b: Array, sizes: Array, positive: Array, left: float, freedom: float) -> Array:

@@ -316,8 +316,10 @@ def linearised(channels: Sequence[Channel], library: Mapping[str, Effect], optio
     stacked = stack(tuple(channels), back)
     held = {a.key for c in channels for a in c.active}
     ripples = next((c.ripples for c in channels if isinstance(c, Geared)), None)
-    time = np.concatenate([c.surroundings.time for c in channels])
-    families = [replace(f, within=odds_of_instants(f.scans, time)) for f in library_families(found, stacked, options, held)]
+    families = list[Family]()
+    for f in library_families(found, stacked, options, held):  # each signal has a clock of its own
+        time = [c.surroundings.time for c in channels if f.effect is not None and not c.blind(f.effect)]
+        families.append(replace(f, within=odds_of_instants(f.scans, np.concatenate(time or [np.empty(0)]))))
     families += kernel_families(channels, stacked)
     whole = make_pool(stacked.y, stacked.freedom, families, stacked.tails)
     families = most_telling(whole, _held(families, [a for c in channels for a in c.active]))

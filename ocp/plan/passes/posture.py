@@ -317,7 +317,8 @@ def _hollow(cell: Cell, law: WheelLaw, path: BladePath, index: Index) -> tuple[s
     wheel, turns = cell.wheel, posture_grid(cell)[1]
     reason = f"the blade is too hollow for a wheel {wheel.width * 1e3:.0f} mm wide with {wheel.radius * 1e3:.0f} mm radius"
     kxx, kyy, kxy = turned_curvature(path.curvature[index], turns[:, None], wheel.radius)
-    if ((kxx >= law.limits["kxx"][0]) & (kxx * kyy >= kxy**2)).all():  # a wheel of steel would touch at the planned points
+    steel = (kxx >= law.limits["kxx"][0]) & (kxx * kyy >= kxy**2)  # so hard a wheel would touch at the planned points
+    if steel.any(axis=0).all():
         given = f"the wheel's cover gives way by less than {1e3 * SEED_INDENTATION:g} mm under {path.force[index].min():g} N"
         return f"{given}, from which no plan can start", "use a softer cover, or more force"
     remedies = []
