@@ -122,7 +122,7 @@ def test_means_keep_what_lasts():
     assert noise.sigma**2 * (1 - noise.share) == pytest.approx(0.5 * 0.09 / 4)
 
 
-@pytest.mark.parametrize(("factor", "named"), [(1.1, True), (0.5, False)])
+@pytest.mark.parametrize(("factor", "named"), [(1.1, True), (0.4, False)])
 def test_an_effect_above_the_size_told_is_named_and_one_below_is_not(made, plan, tmp_path, factor, named):
     size = factor * sizes(plan, ("wheel_wear",))[0] * 1e-6
     log = logged(made.base, (Planted(overlap=lambda b: -size * b.columns["clock"]),), tmp_path)
