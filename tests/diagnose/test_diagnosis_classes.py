@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from ocp.diagnose import rules
-from ocp.diagnose.engine.beam import Weighed, weigh
+from ocp.diagnose.engine.beam import Search, Weighed, weigh
 from ocp.diagnose.engine.evidence import size_grid
 from ocp.diagnose.engine.findings import Name
 from ocp.diagnose.engine.linearisation import widths_of
@@ -76,7 +76,7 @@ def test_likelier_variants_weigh_more_and_picked_ones_as_before():
     assert weight[1] == pytest.approx(weight[0], abs=1e-3)
 
 
-@pytest.mark.parametrize("seed", [31, 36, 39, 53])
+@pytest.mark.parametrize("seed", [1, 31, 37, 53, 60])
 def test_a_set_weighs_the_same_wherever_it_is_begun(seed):
     """Steps of one and of three coefficients beside a slow growth, begun anew or from members at a wrong instant and size."""
     rng, t = np.random.default_rng(seed), np.linspace(0.0, 1.0, N)
@@ -89,8 +89,27 @@ def test_a_set_weighs_the_same_wherever_it_is_begun(seed):
     scans = [tuple({"at_s": k} for k in range(c.shape[1])) for c in columns]
     made = [replace(family("any", c[:, 0]), columns=c / np.sqrt(N), sizes=size_grid(0.02)) for c in columns]
     pool = make_pool(y, N, [replace(f, scans=s) for f, s in zip(made, scans, strict=True)])
-    begun = weigh(pool, [0, 1, 2], [Member(0, 5, 0.02), Member(1, 5, 0.02), Member(2, 0, 0.02)])
-    assert begun.log == pytest.approx(weigh(pool, [0, 1, 2]).log, abs=0.01)
+    anew, begun = weigh(pool, [0, 1, 2]), weigh(pool, [0, 1, 2], [Member(0, 5, 0.02), Member(1, 5, 0.02), Member(2, 0, 0.02)])
+    assert begun.log == pytest.approx(anew.log, abs=0.01)
+    one, *rest = anew.members  # and none of them has a better variant or size beside the others
+    each = scan_one(pool, given(pool, rest), 0)[0]
+    assert each[one.variant, np.searchsorted(pool.families[0].sizes, one.size)] == each.max()
+
+
+def test_two_that_nearly_cancel_are_found_whichever_comes_first():
+    a = RNG.normal(size=N)
+    b = a + 0.15 * RNG.normal(size=N)
+    y = 2.5 * (a - b) + np.random.default_rng(2).normal(size=N)
+    made = [
+        replace(family(name, x[:, None]), columns=x[:, None, None], sizes=size_grid(0.02)) for name, x in (("a", a), ("b", b))
+    ]
+    pool = make_pool(y, N, made)
+    anew = weigh(pool, [0, 1])
+    for near in (Member(0, 0, 0.02), Member(1, 0, 0.02)):
+        assert weigh(pool, [0, 1], [near]).log == pytest.approx(anew.log, abs=0.01)
+    search = Search(pool, 3, 6)
+    search.begin()
+    assert search.best()[0] == frozenset([0, 1])
 
 
 def test_what_is_smaller_than_usual_is_weighed_where_readings_show_it():

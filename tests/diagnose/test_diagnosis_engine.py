@@ -22,6 +22,7 @@ from ocp.diagnose.verdict.diagnosis import diagnose_channels, refitted
 from ocp.diagnose.verdict.location import kernel_tests
 from ocp.effects.catalogue import library
 from ocp.effects.effect import Active
+from ocp.effects.forms import odds_of_instants
 from robots.gauss_newton import linear_step
 from tests.support.linear_channel import LinearChannel, effect
 
@@ -246,6 +247,17 @@ def test_twins_are_declared_and_share_an_explanation():
     assert (Name("e0"), Name("e1")) in d.classes
     assert d.explanations[0].probability > 0.8
     assert not any(Name("e3") in c for c in d.classes)
+
+
+def test_instants_are_weighed_on_the_clock_of_the_signal_that_sees_the_effect():
+    time = np.append(np.arange(20.0), np.arange(100.0, 120.0))
+    scans = [{"at_s": t} for t in (4.5, 60.0, 110.5)]
+    columns = {("moved", 0): np.stack([(time > s["at_s"])[:, None] * 9.0 for s in scans])}
+    seeing = LinearChannel(np.zeros(40), np.zeros((40, 0)), np.zeros(0), columns, time=time)
+    other = LinearChannel(np.zeros(9), np.zeros((9, 0)), np.zeros(0), {}, name="force", time=np.linspace(30.0, 90.0, 9))
+    families = linearised([seeing, other], {"moved": effect("moved", scans=scans)}, FEW).pool.families
+    own = next(f for f in families if f.name.effect == "moved")
+    assert own.within == pytest.approx(odds_of_instants(scans, time)) and own.within[1] > 0.6
 
 
 def test_a_pair_that_neither_shows_alone():

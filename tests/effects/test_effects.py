@@ -338,8 +338,9 @@ def test_a_shift_is_as_likely_in_a_pause_as_the_pause_is_long():
     share = np.exp(odds_of_instants([{"at_s": t} for t in at], time)) / 4
     assert share == pytest.approx(0.5 / 4 + 0.5 * np.array([100.0, 1.0, 94.0, 1.0]) / 196.0)
     assert share.sum() == pytest.approx(1.0)
-    scans = [{"target": name, "at_s": t} for name in "ab" for t in at[::-1]]
-    assert np.exp(odds_of_instants(scans, time)) / 4 == pytest.approx([*share[::-1], *share[::-1]])
+    scans = [{"target": name, "at_s": t} for name, last in (("a", 4), ("b", 2)) for t in at[:last][::-1]]
+    other = 0.5 / 2 + 0.5 * np.array([1.0, 100.0]) / 101.0
+    assert np.exp(odds_of_instants(scans, time)) == pytest.approx([*(4 * share[::-1]), *(2 * other)])
     slow = [{"at_s": 0.0, "until_s": 100.0}, *({"at_s": t, "until_s": t} for t in at)]
     assert np.exp(odds_of_instants(slow, time)) == pytest.approx([1.0, *(4 * share)])
     for none in ([{"order": 3.0}, {}], [{"at_s": 200.0}, {"at_s": 300.0}], [{"at_s": 1.5}]):

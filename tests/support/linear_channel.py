@@ -1,6 +1,6 @@
 """A channel that is nothing but numbers: rows, nuisance and effects with given columns, for tests of the engine alone."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -42,6 +42,7 @@ class LinearChannel:
     conditions_given: ReadingConditions | None = None
     each: int = 1  # rows of a reading
     tailed: bool = False
+    time: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
     @property
     def conditions(self):
@@ -59,8 +60,8 @@ class LinearChannel:
 
     @property
     def surroundings(self):
-        """None."""
-        return Surroundings(np.full(6, np.nan), np.zeros((6, 2)), np.zeros(0))
+        """Its clock alone."""
+        return Surroundings(np.full(6, np.nan), np.zeros((6, 2)), self.time)
 
     def blind(self, e):
         """Effects without columns."""
