@@ -83,7 +83,18 @@ def new_cell_text(name: str, model: str, robot: Robot, held: HeldAt | None, stl:
         )
     load_z = "160" if not small else "120"
     weight = f"{max(round(WEIGHT * rated), 1):.1f}"
-    texts = {"title": robot.title, "name": name, "model": model, "load": f"{load:.1f}", "load_z": load_z, "weight": weight}
+    postures = "in postures that `grindplan poses --cell cell.toml` chooses"
+    if family is None:
+        postures = "in some sixty postures, all axes over their ranges"
+    texts = {
+        "postures": postures,
+        "title": robot.title,
+        "name": name,
+        "model": model,
+        "load": f"{load:.1f}",
+        "load_z": load_z,
+        "weight": weight,
+    }
     return _filled(_TEMPLATE, **texts, grinding=grinding)
 
 

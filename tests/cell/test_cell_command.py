@@ -87,6 +87,7 @@ def test_an_arm_that_cannot_be_planned_gets_a_cell_for_its_tracker(tmp_path, rob
     told = call("new", "--robot", robot, "--out", tmp_path / "cell")
     assert told.exit_code == 0 and "nothing can be planned" in told.stderr
     setup = read_tracker_setup(tmp_path / "cell" / "cell.toml")
+    assert "grindplan poses" not in (tmp_path / "cell" / "cell.toml").read_text()  # it refuses such an arm
     assert max(p.mass for p in setup.payloads.values()) <= setup.robot.payload.mass
     assert call("check", tmp_path / "cell" / "cell.toml").exit_code == 0
 
