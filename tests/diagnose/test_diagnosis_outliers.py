@@ -32,7 +32,7 @@ def late_shift(readings):
 def test_a_late_step_is_rather_a_step_than_gross_readings():
     believed = channel(late_shift(world(6)[0]))
     assert (believed.fit.weight < 0.5).sum() >= OUTLIERS_OF_ONE_CAUSE
-    (found,) = outliers_rechecked(linearised([believed], LIBRARY, OPTIONS), (), LIBRARY, OPTIONS)
+    (found,) = outliers_rechecked(linearised([believed], LIBRARY, OPTIONS), LIBRARY, OPTIONS)
     assert [a.effect.name for a in found.active] == ["target_shift"] and (found.fit.weight < 0.5).sum() < OUTLIERS_OF_ONE_CAUSE
     assert np.abs(found.active[0].a - SHIFT).max() < 1e-4
     d = diagnose_channels([believed], LIBRARY, OPTIONS)
@@ -43,7 +43,7 @@ def test_gross_readings_without_a_cause_in_common_stay_so():
     readings = world(6, outliers=0.08)[0]
     believed = channel(readings)
     assert (believed.fit.weight < 0.5).sum() >= OUTLIERS_OF_ONE_CAUSE
-    assert outliers_rechecked(linearised([believed], LIBRARY, OPTIONS), (), LIBRARY, OPTIONS) is None
+    assert outliers_rechecked(linearised([believed], LIBRARY, OPTIONS), LIBRARY, OPTIONS) is None
     assert diagnose_channels([believed], LIBRARY, OPTIONS).verdict == "no_gap"
 
 

@@ -18,7 +18,7 @@ counted once more, what then explains them best is fitted beside what was accept
 are grossly wrong. Without it other_hand_11 (springs that stiffen, lambda 3458) has no name (docs/diagnosis.md, Measured).
 """
 
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -116,57 +116,47 @@ def search_and_refit(
 ) -> tuple[Linearisation, Search]:
     """The last linearisation and its sets: accept, refit and linearise anew until the best set is what is active, or until, with
     `rules.SEARCHED_IN_VAIN` names accepted, a rough search is `in_vain`. diverged: fits that did so far, added to."""
-    problem, diverged = first, Diverged() if diverged is None else diverged
+    problem, diverged, circles = first, Diverged() if diverged is None else diverged, Circles()
     seeds: list[tuple[Name, ...]] = []
     tried: set[tuple[object, ...]] = set()
-    been: dict[tuple[object, ...], Sequence[Channel]] = {}
-    freeing, flattered = True, None
+    freeing = True
     while True:
         search = Search(problem.pool, options.most, options.beam)
-        index = problem.index
-        search.begin([frozenset(index[n] for n in names if n in index) for names in seeds], pairs=problem is first)
+        seeded = [frozenset(problem.index[n] for n in names if n in problem.index) for names in seeds]
+        search.begin(seeded, pairs=problem is first)
         rough = _grown(problem, search)
         held = _all_active(problem.channels)
-        diverged.converged(Name(*a.key) for a in held)
+        diverged.converged(_names(problem.channels))
         diverged.strike(search, problem)
-        if flattered is not None:
+        if flattered := circles.flattered[_names(problem.channels)]:
             rough = diverged.grown_whole(search, problem)  # what is put right is whole
-            flattered.put_right(search, problem)
-            flattered = None
+        for one in flattered:
+            one.put_right(search, problem)
         if rough and in_vain is not None and len(held) >= rules.SEARCHED_IN_VAIN and in_vain(problem, search):
             rough = diverged.grown_whole(search, problem)
             if in_vain(problem, search):
                 return problem, search
         channels: Sequence[Channel] | None = None
-        while channels is None:
+        while not channels:
             best = next_set(search, len(held) + 1)
             chosen = refined(problem, best, problem.values(best))
             key = effects_key(chosen, 2)
-            if key in tried | {effects_key(held, 2)}:
-                channels = outliers_rechecked(problem, held, library, options) if freeing else None
-                if channels is None and rough:
-                    rough = diverged.grown_whole(search, problem)
-                    continue
-                if channels is None:
-                    (channels, flattered), been[key] = rather(been.get(key, ()), problem, search, library, options), ()
-                    if channels:
-                        break
-                    if flattered is None:
-                        return problem, search
-                    flattered.put_right(search, problem)
-                    channels = flattered = None
-                    continue
+            if key not in tried | {effects_key(held, 2)}:
+                tried.add(key)
+                channels = diverged.fitted_with(chosen, search, problem)
+            elif freeing and (channels := outliers_rechecked(problem, library, options)):
                 key = effects_key(_all_active(channels), 2)
                 freeing = key not in tried  # a set that was tried is not tried for ever
                 tried.add(key)
-                break
-            tried.add(key)
-            channels = diverged.fitted_with(chosen, search, problem)
+            elif rough:
+                rough = diverged.grown_whole(search, problem)
+            else:
+                channels = circles.settled(key, problem, search, library, options)
+                if channels is None:
+                    return problem, search
         seeds = [problem.names(k) for k in search.best()]
-        problem = linearised(channels, library, options)
-        if sharper := _sharpened(problem):
-            problem = linearised(sharper, library, options)
-        been.setdefault(key, problem.channels)  # not twice: a circle ends
+        problem = _sharpened(linearised(channels, library, options), library, options)
+        circles.fits[key] = problem.channels
 
 
 @dataclass(frozen=True)
@@ -174,41 +164,58 @@ class Flattered:
     """Names in the place of others (none: beside them), and by how much (log) columns about a fit rate them better than columns
     about that fit and about their own do on average."""
 
-    names: set[Name]
-    others: set[Name]
+    names: frozenset[Name]
+    others: frozenset[Name]
     log: float
 
     def put_right(self, search: Search, problem: Linearisation) -> None:
         """Weigh the sets of a search that have the names and not the others as the average does."""
-        names, others = ({problem.index[n] for n in part} for part in (self.names, self.others))
         for key, one in search.sets.items():
-            if names <= key and not others & key:
+            if self.names <= (there := {*problem.names(key)}) and not self.others & there:
                 search.sets[key] = replace(one, log=one.log - self.log)
 
 
-def rather(
-    earlier: Sequence[Channel], problem: Linearisation, search: Search, library: Mapping[str, Effect], options: Options
-) -> tuple[Sequence[Channel], Flattered | None]:
-    """Of a circle of two fits the better one by the mean of what columns about either say: the channels of the earlier one, or
-    none where what is held now is better; and what columns about the better one flatter. Columns about one fit may not hold about
-    another: where a run-out moves the flange its friction makes the run-out's pattern, and seems to explain it. Where a line of
-    the background has a part in either, fits do not hold all of it, and what was said last stands."""
-    now, then = ({Name(*a.key) for a in _all_active(one)} for one in (problem.channels, earlier))
-    if not earlier or now == then or any(_with_background(search, problem, names) for names in (now, then)):
-        return (), None
-    there = linearised(earlier, library, options)
-    if not now | then <= {*there.index} & {*problem.index}:
-        return (), None
-    here, gain = (_weighed(about, then).log - _weighed(about, now).log for about in (problem, there))
-    better, worse, kept = (then, now, earlier) if here + gain > 0 else (now, then, ())
-    return kept, Flattered(worse - better or worse, better - worse, 0.5 * (here - gain)) if worse else None
+@dataclass
+class Circles:
+    """Fits by what was fitted, which two of them were compared by their names, and what columns about a fit of names flatter."""
+
+    fits: dict[tuple[object, ...], Sequence[Channel]] = field(default_factory=dict)
+    compared: set[frozenset[frozenset[Name]]] = field(default_factory=set)
+    flattered: defaultdict[frozenset[Name], list[Flattered]] = field(default_factory=lambda: defaultdict(list))
+
+    def settled(
+        self, key: tuple[object, ...], problem: Linearisation, search: Search, library: Mapping[str, Effect], options: Options
+    ) -> Sequence[Channel] | None:
+        """Where the search would go back to what was fitted: the channels of that fit where it is the better one, by the mean of
+        what columns about either say; none where what is held now is, and what its columns flatter is put right; None where no
+        more is to be learnt of the two. Columns about one fit may not hold about another: where a run-out moves the flange its
+        friction makes the run-out's pattern, and seems to explain it; three stiffnesses at the ends of their ranges cancel each
+        other to first order alone."""
+        earlier = self.fits.get(key, ())
+        now, then = _names(problem.channels), _names(earlier)
+        pair = frozenset([now, then])
+        if not earlier or now == then or pair in self.compared:
+            return None
+        self.compared.add(pair)
+        there = linearised(earlier, library, options)
+        first, second = (_with_lines(search, problem, names) for names in (now, then))
+        if not now | then | first | second <= {*there.index} & {*problem.index}:
+            return None
+        here, gain = (_weighed(about, second).log - _weighed(about, first).log for about in (problem, there))
+        better, worse, kept = (then, now, earlier) if here + gain > 0 else (now, then, ())
+        if not worse:
+            return kept
+        flattered = Flattered(worse - better or worse, better - worse, 0.5 * (here - gain))
+        self.flattered[better].append(flattered)
+        if not kept:
+            flattered.put_right(search, problem)
+        return kept
 
 
-def _with_background(search: Search, problem: Linearisation, names: set[Name]) -> bool:
-    """Whether the best set with these names has a line of the background, or none has them."""
-    families = {problem.index[n] for n in names if n in problem.index}
-    own = [k for k in search.sets if {f for f in k if not search.background[f]} == families]
-    return not own or bool(search.background[list(_best(search, own))].any())
+def _with_lines(search: Search, problem: Linearisation, names: frozenset[Name]) -> frozenset[Name]:
+    """The names with lines of the background as the best set has them that has the names."""
+    own = [k for k in search.sets if {*problem.names(frozenset(f for f in k if not search.background[f]))} == names]
+    return frozenset(problem.names(_best(search, own))) if own else names
 
 
 def _weighed(problem: Linearisation, names: Iterable[Name]) -> Weighed:
@@ -252,18 +259,22 @@ def _all_active(channels: Sequence[Channel]) -> tuple[Active, ...]:
     return tuple({a.key: a for c in channels for a in c.active}.values())
 
 
-def _sharpened(problem: Linearisation) -> list[Channel]:
-    """The channels with what they hold sharper, where it is so at the noise that it leaves; else none. At the noise that still
-    held it all scanned values looked alike, and what the wrong ones miss of it another name would get."""
-    held = _all_active(problem.channels)
-    names = [Name(*a.key) for a in held]
-    if names and {*names} <= {*problem.index}:
+def _names(channels: Sequence[Channel]) -> frozenset[Name]:
+    """Names active in any channel."""
+    return frozenset(Name(*a.key) for a in _all_active(channels))
+
+
+def _sharpened(problem: Linearisation, library: Mapping[str, Effect], options: Options) -> Linearisation:
+    """The problem about what it holds sharper, where it is so at the noise that it leaves. At the noise that still held it all
+    scanned values looked alike, and what the wrong ones miss of it another name would get."""
+    names = _names(problem.channels)
+    if names and names <= {*problem.index}:
         there = _weighed(problem, names)
         chosen = refined(problem, there, problem.values(there))
-        if effects_key(chosen) != effects_key(held):
+        if effects_key(chosen) != effects_key(_all_active(problem.channels)):
             with suppress(Infeasible):
-                return [c.with_active(chosen) for c in problem.channels]
-    return []
+                return linearised([c.with_active(chosen) for c in problem.channels], library, options)
+    return problem
 
 
 HALVINGS = 4
@@ -313,21 +324,17 @@ def _evidence(problem: Linearisation, others: Given, effect: Effect, joint: int,
     return log, means
 
 
-def outliers_rechecked(
-    problem: Linearisation, held: tuple[Active, ...], library: Mapping[str, Effect], options: Options
-) -> list[Channel] | None:
+def outliers_rechecked(problem: Linearisation, library: Mapping[str, Effect], options: Options) -> list[Channel] | None:
     """The channels fitted with one effect more than is held, where that takes gross readings back; else None."""
     if _count(problem.channels) < rules.OUTLIERS_OF_ONE_CAUSE:
         return None
     whole = linearised([c.opened() if isinstance(c, WeighedReadings) else c for c in problem.channels], library, options)
     search = Search(whole.pool, options.most, options.beam)
-    names = {a.key for a in held}
-    key = [i for n, i in whole.index.items() if (n.effect, n.joint) in names]
+    key = [whole.index[n] for n in sorted(_names(problem.channels)) if n in whole.index]
     value = search.scan(weigh(whole.pool, key) if key else NOTHING).log + search.odds
     value[[*key, *np.flatnonzero(search.kernel | search.background)]] = -np.inf
-    for f in np.argsort(-value)[: rules.RECHECKED]:
-        if value[f] <= 0:
-            break
+    likely = np.argsort(-value)[: rules.RECHECKED]
+    for f in likely[value[likely] > 0]:
         with suppress(Infeasible):
             found = [c.with_active(whole.values(weigh(whole.pool, [*key, int(f)]))) for c in problem.channels]
             if _count(problem.channels) - _count(found) >= rules.OUTLIERS_OF_ONE_CAUSE:
