@@ -18,7 +18,16 @@ from scipy.interpolate import CubicSpline, PchipInterpolator, interp1d
 
 from ocp.contact.wheel.cover import Cover
 from ocp.contact.wheel.signorini import Contact, LocalShape, solve_force
-from ocp.effects.engine.evaluate import ARM_LAYOUT, ArmPlace, ArmRows, ContactPlace, added_overlap, arm_shift, loaded
+from ocp.effects.engine.evaluate import (
+    ARM_LAYOUT,
+    CONTACT_LAYOUT,
+    ArmPlace,
+    ArmRows,
+    ContactPlace,
+    added_overlap,
+    arm_shift,
+    loaded,
+)
 from ocp.model.blade_gap import SurfaceCloud, SurfaceShape, contact_stations, solved_where_needed, surface_shape
 from ocp.model.cell import Cell
 from ocp.plan.rules import FLANGE_FORCE_TOLERANCE, RIGID_FORCE_TOLERANCE
@@ -317,7 +326,7 @@ class StationContacts:
         blocks |= {"lever": np.abs(self.p @ clamp.clamp_normal - clamp.clamp_offset)}
         active = [e.active for e in cell.effects]
         place = ContactPlace(wheel.radius, wheel.friction, tuple(cell.robot.gravity_direction))
-        return added_overlap(active, place, blocks, cell.flange is None, m)
+        return added_overlap(active, place, CONTACT_LAYOUT.stack(m, blocks), cell.flange is None)
 
 
 def _equilibrium(

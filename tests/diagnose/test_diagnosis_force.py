@@ -11,7 +11,7 @@ import pytest
 
 from ocp.calibrate.force.fit import BIAS, FIT_NAMES, covariance_left
 from ocp.calibrate.force.log import ForceLog, read_force_log
-from ocp.calibrate.force.model import ForceModel
+from ocp.calibrate.force.model import GIVING, ForceModel
 from ocp.calibrate.force.noise import Whitener
 from ocp.calibrate.force.rows import ForceSetup, log_conditions, prepare_force
 from ocp.diagnose import answering
@@ -24,7 +24,7 @@ from ocp.diagnose.force import prediction
 from ocp.diagnose.force.channel import ForceChannel, force_channel, problem_of
 from ocp.diagnose.force.fit import ForceProblem, fit_effects
 from ocp.diagnose.force.held_out import predict_sealed_force
-from ocp.diagnose.force.logged_contact import PLACE, hook_columns
+from ocp.diagnose.force.logged_contact import PLACE
 from ocp.diagnose.force.prediction import acts_by_force, effect_derivatives, nuisance_derivatives, predict_forces
 from ocp.diagnose.force.prior import contact_prior, with_setpoints_read_off
 from ocp.diagnose.foresee.anticipated import signal_gap
@@ -37,6 +37,7 @@ from ocp.diagnose.verdict.shrinkage import ANOTHER_DAY, Shrinkage
 from ocp.effects.catalogue import library
 from ocp.effects.cell_effects import effect_of
 from ocp.effects.effect import Active, Effect
+from ocp.effects.engine.evaluate import contact_columns
 from ocp.model.theta import NAMES
 from robots.calibration.carried import FORCE
 from robots.calibration.store import Calibration
@@ -175,16 +176,19 @@ def test_columns_are_what_the_refitted_balance_does(made, name):
             np.testing.assert_allclose(column, difference, atol=max(0.02 * size, 2e-5), err_msg=f"{name} {joint} {k}")
 
 
-def test_slopes_are_those_of_the_force(made):
-    channel = made.channel
-    scene, at = channel.problem.scene, channel.fit.at
+@pytest.mark.parametrize("held", [(), ("flange_stiffness", "wheel_law"), ("blade_stiffness", "wheel_stiffness")])
+def test_slopes_are_those_of_the_force(made, held):
+    """With effects in the balance too: what they add goes with what gives way, and that with its own parameters."""
+    channel, active = made.channel, tuple(replace(_active(name), a=np.array([0.3])) for name in held)
+    scene = channel.problem.scene
+    at = predict_forces(scene, channel.fit.at.x, active, channel.fit.at)
     theta, joints = scene.slopes(at)
     rows = scene.touching[::50]
     sd = np.sqrt(np.sum(channel.problem.believed.root**2, axis=1))
-    for i in np.flatnonzero(sd[: theta.shape[1]] > 0)[::2]:
+    for i in sorted({*np.flatnonzero(sd[: theta.shape[1]] > 0)[:: 8 if held else 2], *GIVING}):
         step = np.zeros_like(at.x)
         step[i] = 1e-2 * sd[i]
-        high, low = (predict_forces(scene, at.x + s * step, (), at).F[rows] for s in (1.0, -1.0))
+        high, low = (predict_forces(scene, at.x + s * step, active, at).F[rows] for s in (1.0, -1.0))
         np.testing.assert_allclose(theta[rows, i] * step[i], 0.5 * (high - low), rtol=5e-3, atol=1e-5)
     assert np.abs(joints[rows]).max() > 100.0
 
@@ -668,7 +672,7 @@ def test_a_force_patch_is_its_kernel(made):
         assert own == ("sensor" if variant and kernel.among == 0 else "force")
         assert (np.abs(kernel.changes[~at, :, variant]).max() > 0) == (own == "sensor")
         hook = {"force": "push", "sensor": "sensor"}[own]
-        columns = hook_columns(channel.problem.scene.cell, one.effect, hook, 0, [one.scanned], channel.fit.at.samples)[0]
+        columns = contact_columns(one.effect, hook, 0, [one.scanned], channel.problem.scene.contact, channel.fit.at.samples)[0]
         X, wanted = np.hstack([columns, *free])[at], kernel.changes[at, 0, variant]
         left = wanted - X @ np.linalg.lstsq(X, wanted, rcond=None)[0]
         assert np.abs(left).max() < 1e-6 * np.abs(wanted).max(), kernel.where

@@ -131,10 +131,9 @@ def test_contact_effects_are_what_they_say(name, at):
     assert max(np.abs(w).max() for w in wanted) > 0
     for kind, seen, told in zip(KINDS, columns, wanted, strict=True):
         assert seen == pytest.approx(told, rel=1e-9, abs=1e-15), (name, kind)
-    blocks = x | {"R_flange": x["R_flange"].reshape(N, 9)}
-    whole = added_overlap([one, one], PLACE, blocks, rigid=False, n=N)
+    whole = added_overlap([one, one], PLACE, rows, rigid=False)
     assert whole == pytest.approx(2 * (columns[0] + columns[1] * x["slopes"][:, 0]), abs=1e-18)
-    rigid = added_overlap([one], PLACE, blocks, rigid=True, n=N)
+    rigid = added_overlap([one], PLACE, rows, rigid=True)
     assert rigid == pytest.approx(columns[0] + columns[1] * x["slopes"].sum(axis=1), abs=1e-18)
 
 

@@ -24,6 +24,9 @@ from robots.kinematics import evaluate_rows
 from robots.pose import Array, Stacked
 
 SETPOINT = NAMES.index("flange_setpoint_offset")
+# Parameters that what gives way under the force goes with, and effects with that.
+_GIVING = "cover_stiffness_scale", "blade_stiffness_scale", "flange_stiffness", "flange_setpoint_offset"
+GIVING = [NAMES.index(name) for name in _GIVING]
 STEPS = 15  # Newton steps in F; six do, and where effects turn the balance over no number does
 WORTH_COMPILING = 3000  # rows of a log: its fit by machine code saves what compiling takes
 FORCE_TOLERANCE = 1e-5  # N; a Newton step of this size leaves some 1e-10 N
@@ -113,6 +116,7 @@ class ForceModel:
         state = [model.residual, slope, model.delta, model.parts, slopes, *place, ca.jacobian(ca.sum1(model.parts), friction)]
         by = ca.horzcat(slope, ca.jacobian(model.residual, model.theta), ca.jacobian(model.residual, model.q))
         outputs = {"state": ca.vertcat(*state), "derivative": by.T, "stroke": ca.jacobian(model.parts[0], model.theta).T}
+        outputs["giving"] = ca.vec(ca.jacobian(ca.vertcat(model.parts, slopes), model.theta)[:, GIVING])
         arguments = [model.q, model.F, model.w, model.theta, belt]
         known = {name: ca.substitute(ca.densify(o), friction, self.cell.wheel.friction) for name, o in outputs.items()}
         return {name: ColumnFunction(ca.Function(f"force_{name}", arguments, [o], {"cse": True})) for name, o in known.items()}
@@ -126,7 +130,8 @@ class ForceModel:
         """Numbers (n, k) at forces F (n,) N: "state" (columns `STATE`: residual m and its slope in F m/N, overlap m, the four
         parts m and their slopes m/N, arc rad, lateral m, turn rad, tilts, relative curvature 1/m, T_base_blade by rows, levers of
         the joints m/rad, torques of contact and weight about them N m, the parts' derivative in the friction m), "derivative" (of
-        the residual in F, theta (m) and q (6)) or "stroke" (the flange's derivative in theta at the same force)."""
+        the residual in F, theta (m) and q (6)), "stroke" (the flange's derivative in theta at the same force) or "giving" (of the
+        four parts and their slopes in each of `GIVING`)."""
         if not len(F):
             return np.empty((0, self._functions[kind].size1_out(0)))
         if len(F) >= WORTH_COMPILING:

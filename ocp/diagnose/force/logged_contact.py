@@ -16,7 +16,7 @@ from ocp.calibrate.force.model import STATE, PlacedRows
 from ocp.calibrate.force.rows import LogConditions
 from ocp.effects.effect import Effect, Scanned, scan_key
 from ocp.effects.engine.compiled import RowLayout
-from ocp.effects.engine.evaluate import CONTACT_LAYOUT, ArmRows, ContactPlace, arm_columns, arm_rows, contact_columns
+from ocp.effects.engine.evaluate import CONTACT_LAYOUT, ArmRows, arm_columns, arm_rows
 from ocp.model.cell import Cell
 from ocp.model.force_balance import axis_directions
 from ocp.model.theta import BLOCKS, NAMES
@@ -26,12 +26,6 @@ from robots.pose import Array, Index, skew
 PLACE = CONTACT_LAYOUT.places
 ABOUT_JOINTS = ("joint_lever", "joint_push", "tau")
 _AT = RowLayout(tuple((name, len(names)) for name, names in BLOCKS.items())).places  # of theta
-
-
-def hook_columns(cell: Cell, effect: Effect, kind: str, joint: int, scans: Sequence[Scanned], samples: Array) -> Array:
-    """A contact hook ("overlap", "push", "sensor", "shear") on samples for every variant: (V, n, m)."""
-    place = ContactPlace(cell.wheel.radius, cell.wheel.friction, tuple(cell.robot.gravity_direction))
-    return contact_columns(effect, kind, joint, scans, place, samples)
 
 
 def samples_of(cell: Cell, rows: PlacedRows, conditions: LogConditions, F: Array, state: Array, stiffness: Array) -> Array:

@@ -12,12 +12,13 @@ from typing import Any
 import numpy as np
 
 from ocp.calibrate.force.fit import BIAS
-from ocp.calibrate.force.model import PROBE, STATE, ForceModel, ForceRows, PlacedRows
+from ocp.calibrate.force.model import GIVING, PROBE, STATE, ForceModel, ForceRows, PlacedRows
 from ocp.calibrate.force.rows import LogConditions
-from ocp.diagnose.force.logged_contact import BLADE, PLACE, LoggedArm, hook_columns, logged_arm, samples_of
+from ocp.diagnose.force.logged_contact import BLADE, PLACE, LoggedArm, logged_arm, samples_of
 from ocp.diagnose.force.prior import NUISANCE, SHEAR_BIAS, SHEAR_GAIN
 from ocp.effects.context import LogRows
 from ocp.effects.effect import Active, Effect, Scanned
+from ocp.effects.engine.evaluate import ContactPlace, added_by_giving, added_overlap, contact_columns, overlap_columns
 from ocp.model.cell import Cell
 from ocp.model.theta import Theta
 from robots.pose import Array, Index, Mask
@@ -50,6 +51,15 @@ class LogScene:
         return replace(self, rows=rows, conditions=conditions, arm=arm, pressed=pressed)
 
     @cached_property
+    def contact(self) -> ContactPlace:
+        """What hooks see of the cell."""
+        return ContactPlace(self.cell.wheel.radius, self.cell.wheel.friction, tuple(self.cell.robot.gravity_direction))
+
+    def place(self, samples: Array) -> tuple[ContactPlace, Array, bool]:
+        """Samples (n, k), between what of the cell says how much overlap effects add there."""
+        return self.contact, samples, self.cell.flange is None
+
+    @cached_property
     def air(self) -> Array:
         """Samples (n, k) of all rows without contact: where the arm is, no force."""
         low, rows = np.full(len(self.rows), self.model.least_force), PlacedRows.of(self.cell, self.rows, self.theta)
@@ -75,6 +85,10 @@ class LogScene:
         theta, joints = np.zeros((n, M)), np.zeros((n, 6))
         held = np.maximum(at.F[rows], self.model.least_force)
         values = self.model.evaluate("derivative", PlacedRows(at.rows.base, at.rows.theta), held)
+        if bending := bending_among((*self.given, *at.active)):
+            moves = self.model.evaluate("giving", PlacedRows(at.rows.base, at.rows.theta), held)
+            beside = added_by_giving(bending, *self.place(at.samples[rows]), moves, at.rows.theta[:, GIVING])
+            values[:, [1 + k for k in GIVING]] += beside
         scaled = at.stiffness[rows, None] * values
         theta[rows], joints[rows] = scaled[:, 1 : 1 + M], scaled[:, 1 + M :]
         return theta, joints
@@ -117,12 +131,9 @@ def predict_forces(scene: LogScene, x: Array, active: Sequence[Active] = (), nea
     def extra(k: Index, F: Array, state: Array) -> Array:
         given = 1.0 / np.maximum(state[:, STATE["slopes"]].sum(axis=1), 1e-12)
         here = samples_of(scene.cell, rows.take(k), inside.take(k), F, state, given)
-        total = np.zeros(len(k))
-        for one in bending:
-            total += interference(scene.cell, one.effect, one.joint, [one.scanned], here)[0] @ one.a
-        return total
+        return added_overlap(bending, *scene.place(here))
 
-    bending = [a for a in whole if a.effect.overlap is not None or a.effect.push is not None]
+    bending = bending_among(whole)
     pressed = np.zeros(len(at), bool) if scene.pressed is None else scene.pressed[at]
     force, state, stiff = scene.model.solve(rows, guess, pressed, extra if bending else None, known, TOLERANCE)
     samples, F, stiffness = scene.air.copy(), np.zeros(n), np.zeros(n)
@@ -138,6 +149,11 @@ def predict_forces(scene: LogScene, x: Array, active: Sequence[Active] = (), nea
     return replace(made, read=read + sum(late, np.zeros_like(read)))
 
 
+def bending_among(active: Sequence[Active]) -> list[Active]:
+    """Those that enter the balance."""
+    return [a for a in active if a.effect.overlap is not None or a.effect.push is not None]
+
+
 def placed_rows(scene: LogScene, x: Array, active: Sequence[Active]) -> PlacedRows:
     """Rows in contact at parameters x, their joints and blade moved by what active effects do to the arm."""
     at = scene.touching
@@ -150,19 +166,6 @@ def placed_rows(scene: LogScene, x: Array, active: Sequence[Active]) -> PlacedRo
             if moved.blade is not None:
                 theta[:, BLADE] += (moved.blade[:, at, 0] @ one.a).T
     return PlacedRows.of(scene.cell, base, theta, shift)
-
-
-def interference(cell: Cell, effect: Effect, joint: int, scans: Sequence[Scanned], samples: Array) -> Array:
-    """Interference (V, n, m) m per unit coefficient of an effect's overlap and push. A push moves the flange's balance: it counts
-    as the stroke it takes; in a rigid cell as the overlap that brings as much force."""
-    out = np.zeros((len(scans), len(samples), effect.size))
-    if effect.overlap is not None:
-        out += hook_columns(cell, effect, "overlap", joint, scans, samples)
-    if effect.push is not None:
-        slopes = samples[:, PLACE["slopes"]]
-        deflection = slopes[:, 0] if cell.flange is not None else slopes.sum(axis=1)
-        out += hook_columns(cell, effect, "push", joint, scans, samples) * deflection[:, None]
-    return out
 
 
 def remembered(scene: LogScene, made: Predicted, effect: Effect, joint: int, scanned: Scanned) -> Array:
@@ -217,7 +220,7 @@ def _readings(scene: LogScene, x: Array, active: Sequence[Active], samples: Arra
     for one in active:
         for reading, hook in zip(out, HOOKS, strict=True):
             if getattr(one.effect, hook) is not None:
-                reading += hook_columns(scene.cell, one.effect, hook, one.joint, [one.scanned], samples)[0] @ one.a
+                reading += contact_columns(one.effect, hook, one.joint, [one.scanned], scene.contact, samples)[0] @ one.a
     return out
 
 
@@ -255,7 +258,7 @@ def effect_derivatives(
     out = at.slope[:, :, None, None] * force
     for reading, hook in zip(out, HOOKS, strict=True):
         if getattr(effect, hook) is not None:
-            reading += hook_columns(scene.cell, effect, hook, joint, scans, at.samples).swapaxes(0, 1)
+            reading += contact_columns(effect, hook, joint, scans, scene.contact, at.samples).swapaxes(0, 1)
     if remembering(scene, at) and force.any():
         own = force.reshape(len(force), -1)
         past = own, own * _soft(at), _prompt_slope(scene, at.x)[:, :, None] * own
@@ -275,7 +278,7 @@ def force_changes(
     rows = scene.touching
     force = np.zeros((len(at.F), len(scans), effect.size))
     if effect.overlap is not None or effect.push is not None:
-        change = interference(scene.cell, effect, joint, scans, at.samples[rows])
+        change = overlap_columns(effect, joint, scans, *scene.place(at.samples[rows]))
         force[rows] = at.stiffness[rows, None, None] * change.swapaxes(0, 1)
     if effect.on_arm:
         moved = scene.arm.columns(effect, joint, scans)

@@ -143,7 +143,10 @@ def promised(diagnosis: Diagnosis, gaps: Sequence[SignalGap]) -> tuple[Active, .
     interval above zero that the gap shrinks, on another day too, and no kind of condition that was left out says that it grows;
     one signal at least does. Beside something of no name, which they may stand for in part, what is asked for beyond what was
     measured must, where it was left out, say so too: else two of 190 force logs, a belt that wanders named a shift of the wheel,
-    come out worse by a third and by 93 %."""
+    come out worse by a third and by 93 %. None where a fit leaves what cell and calibration allow: it says to calibrate anew
+    before anything rests on it."""
+    if any(getattr(g.corrected, "surprises", ()) for g in gaps):
+        return ()
     least = 0.0 if diagnosis.verdict == "partly" else -np.inf
     told = [[g.helps(least) for g in gaps if one.key in g.shown and g.shrinkage is not None] for one in diagnosis.active]
     return tuple(one for one, helps in zip(diagnosis.active, told, strict=True) if helps and all(helps))

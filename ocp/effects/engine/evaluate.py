@@ -6,7 +6,7 @@ d_joints the derivative of the nest in the commanded joints, which already bends
 (`robots.calibration.reading_model`).
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -36,6 +36,8 @@ CONTACT_LAYOUT = RowLayout.of(
     "travel 1, normal_stiffness 1, friction_deflection 1, lever 1, push_axis 3, clamp_deflection 1, line 1, "
     "joint_lever 6, joint_push 6, tau 6, q 6"
 )
+_GIVES = [k for name in ("parts", "slopes") for k in range(CONTACT_LAYOUT.size)[CONTACT_LAYOUT.places[name]]]
+SMALL = 1e-4  # share of a parameter over which what effects add is differenced
 
 
 @dataclass(frozen=True)
@@ -197,17 +199,35 @@ def contact_columns(effect: Effect, kind: str, joint: int, scans: Sequence[Scann
     return evaluated(Hook(effect, kind, joint, CONTACT_LAYOUT, place), rows, scans)[-1][:, :, 0]
 
 
-def added_overlap(active: Sequence[Active], place: ContactPlace, blocks: Mapping[str, Any], rigid: bool, n: int = 1) -> Array:
-    """Overlap (n,) m that active effects add to n samples: a push counts as the stroke of the flange that it takes, in a rigid
-    cell as the overlap that brings as much force."""
-    rows = CONTACT_LAYOUT.stack(n, blocks)
-    slopes = CONTACT_LAYOUT.block(rows, "slopes")
-    total = np.zeros(n)
+def overlap_columns(effect: Effect, joint: int, scans: Sequence[Scanned], place: ContactPlace, rows: Array, rigid: bool) -> Array:
+    """Overlap (v, n, m) m per unit coefficient at rows (n, k) of CONTACT_LAYOUT: a push counts as the stroke of the flange that
+    it takes, in a rigid cell as the overlap that brings as much force."""
+    out = contact_columns(effect, "overlap", joint, scans, place, rows)
+    if effect.push is not None:
+        slopes = CONTACT_LAYOUT.block(rows, "slopes")
+        give = slopes.sum(axis=1) if rigid else slopes[:, 0]
+        out = out + give[:, None] * contact_columns(effect, "push", joint, scans, place, rows)
+    return out
+
+
+def added_overlap(active: Sequence[Active], place: ContactPlace, rows: Array, rigid: bool) -> Array:
+    """Overlap (n,) m that active effects add at rows (n, k) of CONTACT_LAYOUT."""
+    total = np.zeros(len(rows))
     for one in active:
-        for kind, give in (("overlap", 1.0), ("push", slopes.sum(axis=1) if rigid else slopes[:, 0])):
-            if getattr(one.effect, kind) is not None:
-                total += give * (contact_columns(one.effect, kind, one.joint, (one.scanned,), place, rows)[0] @ one.a)
+        if one.effect.overlap is not None or one.effect.push is not None:
+            total += overlap_columns(one.effect, one.joint, (one.scanned,), place, rows, rigid)[0] @ one.a
     return total
+
+
+def added_by_giving(active: Sequence[Active], place: ContactPlace, rows: Array, rigid: bool, moves: Array, given: Array) -> Array:
+    """Derivatives (n, k) of what active effects add in `given` parameters (n, k) that parts and slopes go with; moves (n, 8 k):
+    these two blocks' derivatives in each. What effects add is in proportion to both: a small difference is the derivative."""
+    out, here = np.zeros_like(given), added_overlap(active, place, rows, rigid)
+    for k, move in enumerate(np.split(moves, given.shape[1], axis=1)):
+        moved, step = rows.copy(), SMALL * np.maximum(np.abs(given[:, k]), 1.0)
+        moved[:, _GIVES] += step[:, None] * move
+        out[:, k] = (added_overlap(active, place, moved, rigid) - here) / step
+    return out
 
 
 TRACKER_LAYOUT = RowLayout.of("point 3, R 9, time 1, warm 1, target 1")
