@@ -148,11 +148,13 @@ def answer_of(folder: Path, phases: Phases, known: dict[str, Effect] | None = No
     blind = tuple(dict.fromkeys((*(n for n in told if blinds(n)), *data.blind, *grouped(found.blind))))
     notices = tuple(dict.fromkeys((*data.notices, *of_another_arm(channels), *(n for n in told if not blinds(n)))))
     written, fitted = _at_rest(found, promised(found, gaps))
+    patch = None
     with phases.phase("patch"):
         if (unknown := unnamed(found, written)) is not None:
             unknown = replace(unknown, after=_knowing((unknown.after,), found.channels, written)[0])
-        named = next((g.shrinkage for g in gaps if written and unknown is not None and g.name == unknown.after.name), None)
-        patch = None if unknown is None else patched(unknown, named, asked.get(unknown.after.name))
+            gap = next(g for g in gaps if g.name == unknown.after.name)
+            if not gap.elsewhere:
+                patch = patched(unknown, gap.shrinkage if written else None, asked.get(gap.name))
     return Answer(data, found, gaps, experiments, blind, notices, dict(phases.seconds), asked, written, fitted, unknown, patch)
 
 

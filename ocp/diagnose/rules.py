@@ -611,6 +611,10 @@ BELIEVED_SPRING_SD."""
 CATALOGUE_SPRING_SD = 2e-6
 """[rad/(N m)] The same of a catalogue's. Guards: as SPRING_SHARE. Reason: the upper end of what joints give."""
 
+CATALOGUE_SPRING_SHARE = 0.5
+"""[-] The same as a share of a catalogue's compliance, where that is more. Guards: as SPRING_SHARE, on small arms, whose joints
+give fifty times as much. Reason: a catalogue's springs are an order of magnitude, half or twice."""
+
 DRIVE_SD = {"viscous": 2e-4, "dry": 3e-5, "inertia": 1e-4}
 """[s, rad, s^2] Of the drive's own friction and rotor that a recorded motor torque holds, as the gap it feigns. Guards: a delay,
 play or scale that is none. Reason: 1e-7 rad/(N m) times 2000 N m s/rad, 300 N m and 1000 kg m^2, as large drives have."""

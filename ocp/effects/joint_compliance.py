@@ -20,7 +20,7 @@ def _unit(joint: int, seen: Surroundings) -> float:
 
 EFFECT = Effect(
     name="joint_compliance",
-    title="compliance of joint {joint} that the cell leaves out",
+    title="compliance of joint {joint} other than the cell's",
     subsystem="joint",
     joints=(1, 2, 3, 4, 5, 6),
     joint=lambda x, j, scanned: at_joint(j, scanned["unit"] * x.tau[j - 1]),

@@ -210,7 +210,8 @@ def _rows_before(night: _Night, folder: Path) -> dict[str, Row]:
     changed = [key for key, value in night.asked().items() if before["asked"].get(key) != value]
     other = f"give the same again to go on with {folder}, or another --out, or --overwrite to begin anew"
     if changed:
-        raise BadInput(f"{folder}: its blades were planned with another {changed[0]}; {other}")
+        what = "cell, or file that it names" if changed[0] == "inputs" else changed[0]
+        raise BadInput(f"{folder}: its blades were planned with another {what}; {other}")
     rows = {row["name"]: row for row in before["blades"]}
     for name, blade in night.blades.items():
         if name in rows and not any(one["sha256"] == sha256(blade) for one in rows[name]["inputs"]):  # or it was lost

@@ -12,6 +12,7 @@ is the fit of `ocp.calibrate.force`. WALKS has the sources of Q and G.
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.special import chdtrc
 
 from ocp.calibrate.force.assessment import DOES
 from ocp.calibrate.force.fit import BIAS, BIAS_SD, FIT_NAMES, ForceSolution, force_prior, offset_columns, surprise
@@ -56,6 +57,7 @@ WALKS: tuple[Walk, ...] = (
 FIRST_WEAR, FIRST_WEAR_SD = 1.4e-7, 3e-7
 NEW_BELT = 3e-4  # m, one sigma: belts of one grit differ by some tenths in thickness, and carry on or off the last one's loss
 UNUSUAL = 0.02  # chance below which it is told: one log in fifty by itself
+MEDIAN_LOSES = 0.5 * np.pi  # by how much more a median varies than a mean
 SURPRISE = 1e-4  # chance below which a log is said not to come from the state that was handed in
 PARTS = {
     "wheel": ("wheel_centre", "wheel_axis"),
@@ -149,6 +151,9 @@ def verdict_on(solution: ForceSolution, log: ForceLog, run_offset: float) -> Ver
     runs (`run_offset` N, one sigma, of what no model holds), V = 1 + B B^T, and `surprise` of z:
 
         K = A^T V^-1 A,   (1 + K) z = A^T V^-1 e                                                              (2)
+
+    Or, where that is less likely and unusual, of what it reads in the air, which few rows tell: its median there against the zero
+    as last known, twice as likely, as it is one of two.
     """
     root, channel = solution.prior.root, solution.channel
     runs = run_offset * offset_columns(log.run, log.contact)
@@ -162,7 +167,19 @@ def verdict_on(solution: ForceSolution, log: ForceLog, run_offset: float) -> Ver
     sd = np.sqrt(np.diag(solution.prior.covariance))
     moves = {n: float(step[i] / sd[i]) for i, n in enumerate(FIT_NAMES) if sd[i] > 0}
     order = tuple(sorted(moves.items(), key=lambda one: -abs(one[1])))
-    return Verdict(*surprise(K, z), order)
+    told, zero = Verdict(*surprise(K, z), order), moved_zero(solution, log)
+    if zero is not None and (alone := 2.0 * float(chdtrc(1, zero**2))) < min(told.chance, UNUSUAL):
+        return Verdict(zero**2, 1, alone, (("sensor_bias", zero), *(one for one in order if one[0] != "sensor_bias")))
+    return told
+
+
+def moved_zero(solution: ForceSolution, log: ForceLog) -> float | None:
+    """By how many standard deviations a log's median in the air is off the sensor's zero before it; None of a log without."""
+    air, known = ~log.contact, float(solution.prior.covariance[BIAS, BIAS])
+    if not air.any():
+        return None
+    scatter = float(np.median(solution.channel.sigma()[air]) ** 2) * MEDIAN_LOSES / solution.channel.independent(contact=False)
+    return float(np.median(log.fn[air]) - solution.prior.mean[BIAS]) / float(np.sqrt(known + scatter))
 
 
 def unmodelled_force(model: ForceModel, rows: ForceRows, solution: ForceSolution, joint_noise: float) -> float:

@@ -258,7 +258,7 @@ def updated(
     grown_history = history.grown((float(clock.max()), ahead, wheel.offset), mark, entry)
     coming = replace(coming, provenance=coming.provenance | {UPDATE: grown_history.table()})
     moments, states = (now, ahead), (before, expected, found, coming)
-    notices = (*wheel.notices, *_unusual(log, fit, verdict, parts), *grown(log, found))
+    notices = (*wheel.notices, *_older(cell, log, history), *_unusual(log, fit, verdict, parts), *grown(log, found))
     return Updated(cell, fit.log, fit, verdict, parts, moments, states, grown_history, preston, told, notices)
 
 
@@ -269,6 +269,17 @@ def _state_holds(cell: Cell, log: ForceLog, history: History) -> float | None:
         return history.holds
     told = _force_figures(cell.calibration).get("clock_s")
     return told if told is not None and log.clock is not None and told <= log.clock.min() else None
+
+
+def _older(cell: Cell, log: ForceLog, history: History) -> tuple[str, ...]:
+    """A sentence where a first log's clock begins before the calibration's log ended."""
+    told = _force_figures(cell.calibration).get("clock_s")
+    if history.holds is not None or told is None or log.clock is None or told <= log.clock.min():
+        return ()
+    return (
+        f"{log.path.name}: clock_s begins at {log.clock.min():.0f} s, before the calibration's force log ended ({told:.0f} s): "
+        "an older log does not say how the cell is now; a clock started anew does not say how old the calibration is",
+    )
 
 
 def _made_from(calibration: Calibration | None, file: Path) -> bool:

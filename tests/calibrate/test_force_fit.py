@@ -2,6 +2,7 @@
 
 import csv
 import shutil
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -304,6 +305,12 @@ def test_runs_that_no_flange_cell_has_are_refused(recorded):
     with pytest.raises(Infeasible, match="where 200 N were asked for, which no flange cell does"):
         refuse_other_force(cell, tenfold)
     refuse_other_force(replace(cell, flange=None), fit)
+    pressed = float(np.median(fit.log.fn[fit.log.contact]))
+    for share, message in ((0.4, None), (0.6, "the best fit misses the readings by .* press: they are not of this cell")):
+        rough = replace(recorded.fit, figures=replace(recorded.fit.figures, sigma=share * pressed))
+        for one in (cell, replace(cell, flange=None)):
+            with pytest.raises(Infeasible, match=message) if message else nullcontext():
+                refuse_other_force(one, rough)
 
 
 def test_intervals_cover(recorded):

@@ -234,6 +234,21 @@ def test_too_few_rows_in_a_row_tell_no_noise(tmp_path):
             refuse_few_rows(read(tmp_path, few))
 
 
+def test_without_its_column_ramps_are_no_air(tmp_path):
+    """A wheel that meets the blade presses with next to nothing: what it reads is no zero of the sensor."""
+    table = rows(600)
+    for k, row in enumerate(table):
+        row.pop("contact", None)
+        row |= {"time_s": 0.01 * k, "fn_N": float(np.clip(0.2 * (k - 300), -0.3, 20.0))}
+    log = read(tmp_path, table)
+    air, force = log.time[~log.contact], log.fn
+    assert air.max() < log.time[log.contact].min() - 0.99 and len(air) > 150
+    assert force[~log.contact].max() < 0 and force[log.contact].min() > 2.0
+    assert any("rows of low force within 1 s of a touch are left out" in told for told in log.notices)
+    told = read(tmp_path, [row | {"contact": int(row["fn_N"] > 3.0)} for row in table])
+    assert len(told) == 600 and not any("left out" in one for one in told.notices)
+
+
 def test_a_log_without_contact_or_with_the_wrong_sign_is_refused(tmp_path):
     with pytest.raises(BadInput, match="no row is in contact"):
         read(tmp_path, rows(contact=0))

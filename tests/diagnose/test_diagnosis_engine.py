@@ -16,7 +16,7 @@ from ocp.diagnose.engine.evidence import Tails, log_evidence, project, size_grid
 from ocp.diagnose.engine.findings import Name, Options
 from ocp.diagnose.engine.linearisation import linearised
 from ocp.diagnose.engine.pool import Member, given, scan, scan_one
-from ocp.diagnose.engine.search import outliers, search_and_refit
+from ocp.diagnose.engine.search import Circles, Flattered, _with_lines, outliers, search_and_refit
 from ocp.diagnose.rules import NOISE_TRUST, TAILS, TAILS_TOLD, WRONG_SIGN
 from ocp.diagnose.verdict.diagnosis import diagnose_channels, refitted
 from ocp.diagnose.verdict.location import kernel_tests
@@ -537,6 +537,32 @@ def test_columns_of_one_fit_may_flatter_what_another_finds_far_worse():
     problem, search = search_and_refit(begin, known, FEW)
     logs = {problem.names(k): s.log for k, s in search.sets.items()}
     assert logs[(Name("e0"),)] > logs[(Name("e1"),)] + 5.0
+    # By the mean of what columns about either say.
+    about_e1 = linearised([driving.with_active(about_e0.values(weigh(about_e0.pool, [1])))], known, FEW)
+    each = [weigh(about.pool, [0]).log - weigh(about.pool, [1]).log for about in (about_e0, about_e1)]
+    assert each[0] < 0 < each[1]
+    assert logs[(Name("e0"),)] - logs[(Name("e1"),)] == pytest.approx(np.mean(each), abs=0.2)
+
+
+def test_what_is_flattered_most_counts_once_and_names_go_with_their_lines():
+    channel, known = problem_of(planted=((0, 0.6),))
+    problem = linearised([channel], known, FEW)
+    search, circles = Search(problem.pool, 2, 2), Circles()
+    search.begin()
+    key = frozenset([0, 1])
+    search.add(key)
+    before = {k: s.log for k, s in search.sets.items()}
+    e0, e1, other = (frozenset([Name(n)]) for n in ("e0", "e1", "e2"))
+    circles.flattered[frozenset()] += [Flattered(e1, other, 2.0), Flattered(e0 | e1, other, 3.0), Flattered(other, e1, 9.0)]
+    for _ in range(2):  # a second time changes nothing
+        circles.put_right(search, problem)
+        assert {k: before[k] - s.log for k, s in search.sets.items() if k <= key} == pytest.approx(
+            {frozenset(): 0.0, frozenset([0]): 0.0, frozenset([1]): 2.0, key: 3.0}
+        )
+    lines = SimpleNamespace(names=lambda k: tuple(sorted("abc"[f] for f in k)))
+    sets = {frozenset(k): Weighed(log, ()) for k, log in (((0,), 1.0), ((0, 2), 3.0), ((0, 1, 2), 9.0))}
+    seen = SimpleNamespace(sets=sets, background=np.array([False, False, True]))
+    assert _with_lines(seen, lines, frozenset("a")) == frozenset("ac") and not _with_lines(seen, lines, frozenset("b"))
 
 
 CIRCLES = [(Driving, {0: 0.6}), (Driving, {0: 0.6, 2: 0.35}), (DrivingTwo, {0: 0.6}), (Nested, {0: 0.6, 1: 0.6})]

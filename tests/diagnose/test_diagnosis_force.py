@@ -11,7 +11,7 @@ import pytest
 
 from ocp.calibrate.force.fit import BIAS, FIT_NAMES, covariance_left
 from ocp.calibrate.force.log import ForceLog, read_force_log
-from ocp.calibrate.force.model import GIVING, ForceModel
+from ocp.calibrate.force.model import ForceModel
 from ocp.calibrate.force.noise import Whitener
 from ocp.calibrate.force.rows import ForceSetup, log_conditions, prepare_force
 from ocp.diagnose import answering
@@ -177,15 +177,20 @@ def test_columns_are_what_the_refitted_balance_does(made, name):
 
 
 @pytest.mark.parametrize("held", [(), ("flange_stiffness", "wheel_law"), ("blade_stiffness", "wheel_stiffness")])
-def test_slopes_are_those_of_the_force(made, held):
-    """With effects in the balance too: what they add goes with what gives way, and that with its own parameters."""
+@pytest.mark.parametrize("stated", [False, True])
+def test_slopes_are_those_of_the_force(made, held, stated):
+    """With effects in the balance too, the cell's own or named: what they add goes with what gives way, and that with its own
+    parameters."""
     channel, active = made.channel, tuple(replace(_active(name), a=np.array([0.3])) for name in held)
-    scene = channel.problem.scene
+    scene = replace(channel.problem.scene, given=active if stated else ())
+    active = () if stated else active
     at = predict_forces(scene, channel.fit.at.x, active, channel.fit.at)
     theta, joints = scene.slopes(at)
     rows = scene.touching[::50]
     sd = np.sqrt(np.sum(channel.problem.believed.root**2, axis=1))
-    for i in sorted({*np.flatnonzero(sd[: theta.shape[1]] > 0)[:: 8 if held else 2], *GIVING}):
+    give = ("cover_stiffness_scale", "blade_stiffness_scale", "flange_stiffness", "flange_setpoint_offset")
+    for i in sorted({*np.flatnonzero(sd[: theta.shape[1]] > 0)[:: 8 if held else 2], *map(NAMES.index, give)}):
+        assert sd[i] > 0
         step = np.zeros_like(at.x)
         step[i] = 1e-2 * sd[i]
         high, low = (predict_forces(scene, at.x + s * step, active, at).F[rows] for s in (1.0, -1.0))

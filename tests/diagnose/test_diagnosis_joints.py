@@ -63,6 +63,15 @@ def test_a_delay_is_found_to_a_hundredth_of_a_step(tmp_path):
     assert channel.gap().std() * SCALE["arcsec"] > 100
 
 
+def test_springs_of_a_catalogue_are_held_to_half_of_what_they_give_and_large_arms_to_what_joints_give(tmp_path):
+    write_csv(tmp_path / "joints.csv", joint_columns(seed=3))
+    log = read_joint_log(tmp_path / "joints.csv")
+    for softer, stated, wanted in ((1.0, False, 2e-6), (50.0, False, 25.0 / 3.3e6), (50.0, True, 15.0 / 3.3e6)):
+        robot = replace(EXTRA, stiffness=EXTRA.stiffness / softer)
+        springs = joint_channel(log, robot, PAYLOADS["grinder"], stated).problem.springs
+        assert springs[2] == pytest.approx((softer / 3.3e6, wanted))
+
+
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_either_sign_of_the_torques_gives_the_same_springs(tmp_path, sign):
     channel = channel_of(tmp_path, seed=3, compliance=5e-7, sign=sign)

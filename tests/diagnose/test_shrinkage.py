@@ -387,8 +387,9 @@ def test_only_what_is_promised_above_zero_is_written():
     assert promised(found, [gap_of(0.1, ("backlash",)), gap_of(-0.1, ("sensor_drift",))]) == (backlash,)
     assert promised(found, [gap_of(0.1, ("backlash", "sensor_drift")), gap_of(-0.1, ("sensor_drift",))]) == (backlash,)
     assert promised(found, [gap_of(None, ("backlash", "sensor_drift"))]) == ()
-    elsewhere = replace(gap_of(0.1, ("backlash",)), corrected=SimpleNamespace(surprises=("of another cell; calibrate anew",)))
-    assert promised(found, [elsewhere]) == ()
+    elsewhere = replace(gap_of(0.1, ("sensor_drift",)), elsewhere=True)  # what its log shows waits for a calibration, no more
+    assert promised(found, [gap_of(0.1, ("backlash",)), elsewhere]) == (backlash,)
+    assert promised(found, [replace(gap_of(0.1, ("backlash", "sensor_drift")), elsewhere=True)]) == ()
     day = {ANOTHER_DAY: Shrinkage(0.1, -0.01, 0.2)}
     assert promised(found, [gap_of(0.1, ("backlash",), **day)]) == ()
     for low, high, written in (

@@ -1,6 +1,7 @@
 """The filter from blade to blade on logs that the model itself makes: wear is followed and forecast, a jump is said."""
 
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -8,9 +9,9 @@ import pytest
 
 from ocp.calibrate.force.fit import BIAS, FIT_NAMES, force_prior
 from ocp.model.theta import registered
-from ocp.update.drift import SURPRISE, Verdict, carried_on, changed_state, last_state
+from ocp.update.drift import SURPRISE, Verdict, carried_on, changed_state, last_state, moved_zero, verdict_on
 from ocp.update.history import History, history_of
-from ocp.update.interface import Updated, _impossible, grown, updated
+from ocp.update.interface import Updated, _impossible, _older, _unusual, grown, updated
 from robots.errors import BadInput, Infeasible
 from tests.support.wearing_cell import NOISE, WearingCell, posterior, wearing_cell
 
@@ -105,6 +106,36 @@ def test_a_small_jump_that_is_taken_for_wear_is_told(world, worn):
     (told,) = found[1.1e-4].notices
     assert SURPRISE < found[1.1e-4].verdict.chance < 0.02
     assert "is unlike what was forecast" in told and "--changed, of wheel, blade, flange, belt, sensor" in told
+
+
+def test_a_sensor_set_to_another_zero_is_seen_in_the_air(worn, monkeypatch):
+    """Few rows in the air tell it: of what the contact shows it would be wear."""
+    fn, contact = np.array([0.1, 0.3, 0.25, 9.0, 20.0]), np.array([False, False, False, False, True])
+    sigma = np.array([0.3, 0.3, 0.3, 0.3, 5.0])
+    noise = SimpleNamespace(sigma=lambda: sigma, independent=lambda contact: 7.0 if contact else 2.0)
+    prior = SimpleNamespace(mean=np.eye(BIAS + 1)[BIAS] * -0.225, covariance=0.04 * np.eye(BIAS + 1))
+    log, solution = SimpleNamespace(fn=fn, contact=contact), SimpleNamespace(channel=noise, prior=prior)
+    assert moved_zero(solution, log) == pytest.approx(0.5 / np.sqrt(0.04 + 0.09 * np.pi / 4))
+    assert moved_zero(solution, SimpleNamespace(fn=fn, contact=fn < 99)) is None
+    last = worn[-1][1]
+    told = []
+    for zero in (None, 2.0, 3.0, -6.0):
+        monkeypatch.setattr("ocp.update.drift.moved_zero", lambda *_, zero=zero: zero)
+        told.append(verdict_on(last.fit.solution, last.log, 0.1))
+    plain, same, unusual, refused = told
+    assert same == plain and plain.possible and plain.chance > 0.02
+    assert unusual.possible and unusual.chance == pytest.approx(2 * 0.0027, rel=0.01) and not refused.possible
+    assert refused.moves[0] == ("sensor_bias", -6.0) and len(refused.moves) == len(plain.moves)
+
+
+def test_a_log_from_before_the_calibration_is_told():
+    calibration = SimpleNamespace(provenance={"force": {"clock_s": 1036.0}})
+    cell, path = SimpleNamespace(calibration=calibration), Path("force.csv")
+    for begins, holds, count in ((52.0, None, 1), (1036.0, None, 0), (52.0, 2000.0, 0)):
+        log = SimpleNamespace(path=path, clock=np.array([begins, begins + 9.0]))
+        told = _older(cell, log, SimpleNamespace(holds=holds))
+        assert len(told) == count and all("begins at 52 s, before the calibration's force log ended (1036 s)" in t for t in told)
+    assert not _older(cell, SimpleNamespace(path=path, clock=None), SimpleNamespace(holds=None))
 
 
 def test_wear_of_which_the_log_itself_shows_nothing_is_no_wear():
@@ -260,13 +291,14 @@ def test_a_wheel_that_would_surely_grow_is_told(world):
         assert not said or "the wheel would grow by 2160 +- 360 um an hour, which no wheel does" in told[0]
 
 
-def test_a_log_too_rough_to_tell_anything_is_told(world, worn):
+def test_a_log_too_rough_to_tell_anything_is_refused_or_told(world, worn):
     """Its chance is one whatever it reads."""
     _, last = worn[-1]
     rng, cell = np.random.default_rng(4), replace(world.cell, calibration=last.states[3])
     log = world.ground(force_prior(world.cell).mean, 6 * BETWEEN, WEAR, rng)
     noise = 60.0 * rng.normal(size=len(log))  # with less, runs differ as no flange cell's do
-    rough = updated(cell, replace(log, fn=log.fn + noise), world.setup, history_of(cell.calibration, cell.path), "rough")
-    assert not rough.verdict.directions
-    assert any("tells nothing that was not known" in text and "N rms off the fit" in text for text in rough.notices)
+    with pytest.raises(Infeasible, match="the best fit misses the readings by"):
+        updated(cell, replace(log, fn=log.fn + noise), world.setup, history_of(cell.calibration, cell.path), "rough")
+    (text,) = _unusual(log, last.fit, replace(last.verdict, directions=0, chance=1.0), ())
+    assert "tells nothing that was not known" in text and "N rms off the fit" in text
     assert not any("tells nothing" in text for _, made in worn for text in made.notices)

@@ -68,6 +68,7 @@ WAVED, WAVING, WAVES = "~", 3, 6  # sign of the words that tell the waves of a r
 ROUNDED = 1.5e-3  # N; numbers rounded to 0.01 N move a wave by less, noise of 0.1 N moves each of them by ten times that
 COPIED = 5  # rows from which a recording that is another's to the last digit is its copy
 STEADY = 0.75  # of a run's usual largest feed, up to which wheel and blade meet
+AIR_APART = 1.0  # s from contact, from which low readings are of the air: ramps take less
 SETTLING = 0.08  # s after that: three time constants and the delay of a flange of 10 Hz and 10 ms
 
 
@@ -153,7 +154,7 @@ def log_of_table(table: CsvTable, sealed: bool) -> ForceLog:
     if not sealed:
         _check_force(table, fn, contact, run)
         _check_copies(table, fn, np.where(contact, run, -1), runs)
-    return ForceLog(
+    found = ForceLog(
         path=table.path,
         run=run,
         runs=runs,
@@ -178,6 +179,7 @@ def log_of_table(table: CsvTable, sealed: bool) -> ForceLog:
         clock=table.column("clock_s", 1.0, lambda v: v < 0, "zero or above: how long the wheel has run"),
         **{name: table.numbers.get(column) for name, column in PLAIN.items()},
     )
+    return found if sealed or "contact" in table.numbers else _undoubted(found)
 
 
 def refuse_few_rows(log: ForceLog) -> None:
@@ -392,6 +394,20 @@ def _contact(table: CsvTable, fn: Array, run: Index) -> Flags:
     for i in range(int(run.max()) + 1):
         level[run == i] = median_filter(fn[run == i], AIR_WINDOW, mode="nearest")
     return np.asarray(level > limit)
+
+
+def _undoubted(log: ForceLog) -> ForceLog:
+    """The log without what may be either: rows that count as air less than AIR_APART from one in contact, where the wheel meets
+    or leaves the blade."""
+    kept = log.contact.copy()
+    for run in range(len(log.runs)):
+        at = np.flatnonzero(log.run == run)
+        touching = np.concatenate([[-np.inf], log.time[at][log.contact[at]], [np.inf]])
+        k = np.searchsorted(touching, log.time[at])
+        kept[at] |= np.minimum(log.time[at] - touching[k - 1], touching[k] - log.time[at]) >= AIR_APART
+    count = int(np.count_nonzero(~kept))
+    told = f"{log.path.name}: no column contact: {count} rows of low force within {AIR_APART:g} s of a touch are left out"
+    return replace(log.take(kept), notices=(*log.notices, told)) if count else log
 
 
 def _check_force(table: CsvTable, fn: Array, contact: Flags, run: Index) -> None:

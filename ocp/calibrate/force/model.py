@@ -24,7 +24,7 @@ from robots.kinematics import evaluate_rows
 from robots.pose import Array, Stacked
 
 SETPOINT = NAMES.index("flange_setpoint_offset")
-# Parameters that what gives way under the force goes with, and effects with that.
+# Parameters that what gives way under the force goes with most, and effects with that.
 _GIVING = "cover_stiffness_scale", "blade_stiffness_scale", "flange_stiffness", "flange_setpoint_offset"
 GIVING = [NAMES.index(name) for name in _GIVING]
 STEPS = 15  # Newton steps in F; six do, and where effects turn the balance over no number does

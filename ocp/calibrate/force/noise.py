@@ -345,9 +345,9 @@ class ReadingNoise:
             out[kind.rows] *= kind.noise.sigma * np.sqrt(kind.noise.usual)
         return out
 
-    def independent(self) -> float:
-        """How many independent readings the rows in contact are worth for their mean."""
-        kind = self.kinds[True]
+    def independent(self, contact: bool = True) -> float:
+        """How many independent readings the rows in contact, or in the air, are worth for their mean."""
+        kind = self.kinds[contact]
         steps = kind.runs.step[np.isfinite(kind.runs.step) & (kind.runs.step > 0)]
         return len(kind.rows) / (kind.noise.samples_each(float(np.median(steps))) if len(steps) else 1.0)
 

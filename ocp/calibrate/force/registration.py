@@ -22,6 +22,7 @@ from robots.pose import Array
 RECORDINGS = "recordings"  # key of a calibration's provenance.force: the log's mark
 SIGMAS = 5.0  # an innovation beyond this many is told to the user
 
+MISSED = 0.5  # of the force that presses: at two sigma wheel and blade would part
 RUNS_APART = 0.1  # of the force asked for; 0.05 mm of an arm on a flange of 6 N/mm are 0.3 N
 
 
@@ -137,10 +138,17 @@ def fit_force(cell: Cell, log: ForceLog, robot: Calibration | None = None, setup
 
 
 def refuse_other_force(cell: Cell, fit: ForceFit) -> None:
-    """Raises Infeasible: on a force flange, runs that differ by more than its springs and an arm's repeatability can make."""
+    """Raises Infeasible: readings that the fit misses by as much as a contact that holds cannot scatter; on a force flange, runs
+    that differ by more than its springs and an arm's repeatability can make."""
+    log, differ, pressed = fit.log, fit.figures.run_offset, float(np.median(fit.log.fn[fit.log.contact]))
+    if (missed := fit.figures.sigma) > MISSED * pressed:
+        raise Infeasible(
+            f"{log.path}: the best fit misses the readings by {missed:.3g} N (one standard deviation) where {pressed:.3g} N "
+            "press: they are not of this cell; compare its wheel, blade and force flange with those that were used, and fn_N "
+            "with the axes of its rows"
+        )
     if cell.flange is None:
         return
-    log, differ, pressed = fit.log, fit.figures.run_offset, float(np.median(fit.log.fn[fit.log.contact]))
     asked = cell.flange.setpoint if log.setpoint is None else float(np.median(log.setpoint[log.contact]))
     # A setting ten times too large excuses no difference: what was pressed with counts too.
     if asked > 0 and differ > RUNS_APART * min(asked, max(pressed, cell.flange.setpoint)):

@@ -73,19 +73,14 @@ class Diverged:
 
     def names(self) -> list[Name]:
         """Names that are given up."""
-        least = 1 if self.hopeless else rules.FAILED_FITS
-        return sorted(n for n, k in self.count.items() if k >= least and n not in self.fitted)
+        return sorted(n for n, k in self.count.items() if (self.hopeless or k >= rules.FAILED_FITS) and n not in self.fitted)
 
     def strike(self, search: Search, problem: Linearisation) -> None:
         """Take the sets out of a search whose fit diverged, or that hold a name that is given up."""
-        index = problem.index
-        gone = {index[n] for n in self.names() if n in index}
-        failed = [{index[n] for n in names} for names in self.sets if all(n in index for n in names)]
-        kernel = search.kernel | search.background
-        stays = {index[n] for n in self.fitted if n in index} if self.hopeless else set(index.values())
+        gone, strange = {*self.names()}, search.kernel | search.background
         for key in list(search.sets):
-            names = {f for f in key if not kernel[f]}
-            if gone & key or names in failed or not names <= stays:
+            names = frozenset(problem.pool.families[f].name for f in key if not strange[f])
+            if gone & names or names in self.sets or (self.hopeless and not names <= self.fitted):
                 del search.sets[key]
 
     def grown_whole(self, search: Search, problem: Linearisation) -> bool:
@@ -128,10 +123,9 @@ def search_and_refit(
         held = _all_active(problem.channels)
         diverged.converged(_names(problem.channels))
         diverged.strike(search, problem)
-        if flattered := circles.flattered[_names(problem.channels)]:
+        if circles.flattered[_names(problem.channels)]:
             rough = diverged.grown_whole(search, problem)  # what is put right is whole
-        for one in flattered:
-            one.put_right(search, problem)
+            circles.put_right(search, problem)
         if rough and in_vain is not None and len(held) >= rules.SEARCHED_IN_VAIN and in_vain(problem, search):
             rough = diverged.grown_whole(search, problem)
             if in_vain(problem, search):
@@ -168,20 +162,22 @@ class Flattered:
     others: frozenset[Name]
     log: float
 
-    def put_right(self, search: Search, problem: Linearisation) -> None:
-        """Weigh the sets of a search that have the names and not the others as the average does."""
-        for key, one in search.sets.items():
-            if self.names <= (there := {*problem.names(key)}) and not self.others & there:
-                search.sets[key] = replace(one, log=one.log - self.log)
-
 
 @dataclass
 class Circles:
-    """Fits by what was fitted, which two of them were compared by their names, and what columns about a fit of names flatter."""
+    """Fits by the key of their effects, pairs of fits, by their names, that were compared, and what columns about the fit of some
+    names flatter."""
 
     fits: dict[tuple[object, ...], Sequence[Channel]] = field(default_factory=dict)
     compared: set[frozenset[frozenset[Name]]] = field(default_factory=set)
     flattered: defaultdict[frozenset[Name], list[Flattered]] = field(default_factory=lambda: defaultdict(list))
+
+    def put_right(self, search: Search, problem: Linearisation) -> None:
+        """Weigh the sets of a search that its columns flatter as the average does, by what was found of most."""
+        for key, one in search.sets.items():
+            names, about = {*problem.names(key)}, self.flattered[_names(problem.channels)]
+            if found := [f.log for f in about if f.names <= names and not f.others & names]:
+                search.sets[key] = replace(one, log=weigh(problem.pool, sorted(key)).log - max(found))
 
     def settled(
         self, key: tuple[object, ...], problem: Linearisation, search: Search, library: Mapping[str, Effect], options: Options
@@ -197,25 +193,24 @@ class Circles:
         if not earlier or now == then or pair in self.compared:
             return None
         self.compared.add(pair)
-        there = linearised(earlier, library, options)
-        first, second = (_with_lines(search, problem, names) for names in (now, then))
-        if not now | then | first | second <= {*there.index} & {*problem.index}:
+        there, known = linearised(earlier, library, options), {*problem.index}
+        both = [_with_lines(search, problem, names) for names in (now, then)]
+        first, second = both if all(both) else (now, then)
+        if not now | then | first | second <= known & {*there.index}:
             return None
         here, gain = (_weighed(about, second).log - _weighed(about, first).log for about in (problem, there))
         better, worse, kept = (then, now, earlier) if here + gain > 0 else (now, then, ())
-        if not worse:
-            return kept
-        flattered = Flattered(worse - better or worse, better - worse, 0.5 * (here - gain))
-        self.flattered[better].append(flattered)
+        if worse:
+            self.flattered[better].append(Flattered(worse - better or worse, better - worse, 0.5 * (here - gain)))
         if not kept:
-            flattered.put_right(search, problem)
+            self.put_right(search, problem)
         return kept
 
 
 def _with_lines(search: Search, problem: Linearisation, names: frozenset[Name]) -> frozenset[Name]:
-    """The names with lines of the background as the best set has them that has the names."""
+    """The names with the background lines of the best set of exactly these names; none where no set has them."""
     own = [k for k in search.sets if {*problem.names(frozenset(f for f in k if not search.background[f]))} == names]
-    return frozenset(problem.names(_best(search, own))) if own else names
+    return frozenset(problem.names(_best(search, own))) if own else frozenset()
 
 
 def _weighed(problem: Linearisation, names: Iterable[Name]) -> Weighed:
@@ -330,7 +325,7 @@ def outliers_rechecked(problem: Linearisation, library: Mapping[str, Effect], op
         return None
     whole = linearised([c.opened() if isinstance(c, WeighedReadings) else c for c in problem.channels], library, options)
     search = Search(whole.pool, options.most, options.beam)
-    key = [whole.index[n] for n in sorted(_names(problem.channels)) if n in whole.index]
+    key = sorted(whole.index[n] for n in _names(problem.channels) if n in whole.index)
     value = search.scan(weigh(whole.pool, key) if key else NOTHING).log + search.odds
     value[[*key, *np.flatnonzero(search.kernel | search.background)]] = -np.inf
     likely = np.argsort(-value)[: rules.RECHECKED]

@@ -56,7 +56,7 @@ class LogScene:
         return ContactPlace(self.cell.wheel.radius, self.cell.wheel.friction, tuple(self.cell.robot.gravity_direction))
 
     def place(self, samples: Array) -> tuple[ContactPlace, Array, bool]:
-        """Samples (n, k), between what of the cell says how much overlap effects add there."""
+        """What `overlap_columns` and `added_overlap` are given at samples (n, k)."""
         return self.contact, samples, self.cell.flange is None
 
     @cached_property

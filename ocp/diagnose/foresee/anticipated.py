@@ -69,7 +69,8 @@ def signal_gap(diagnosis: Diagnosis, before: Channel, after: Channel, sealed: An
     left = Remaining(scale * left.above_noise, left.p_value)
     figures = before.name, before.unit, after.noise_floor, sizes[0], sizes[1]
     beyond = kinds_beyond(after, held, sealed) if asked else ()
-    return SignalGap(*figures, shrinkage, promise, told, left, before, after, asked, beyond, shown)
+    elsewhere = bool(getattr(after, "surprises", ()))
+    return SignalGap(*figures, shrinkage, promise, told, left, before, after, asked, beyond, shown, elsewhere)
 
 
 def remaining(channel: Channel, tests: Sequence[KernelTest]) -> Remaining:

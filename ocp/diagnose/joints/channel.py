@@ -23,7 +23,7 @@ import numpy as np
 from ocp.diagnose.engine.channel_system import SCALE, UNSEEN, Fold, HeldOut, ReadingConditions, Sealed, System, Variants
 from ocp.diagnose.joints.log import JointLog
 from ocp.diagnose.joints.signals import EncoderNoise, Signals, blocks, factors, noise_of, signals_of, whiten_blocks
-from ocp.diagnose.rules import CATALOGUE_SPRING_SD, DRIVE_SD, SPRING_SHARE
+from ocp.diagnose.rules import CATALOGUE_SPRING_SD, CATALOGUE_SPRING_SHARE, DRIVE_SD, SPRING_SHARE
 from ocp.effects.effect import Active, Effect, Scanned, Surroundings, coefficients, prior_sds, with_coefficients
 from ocp.effects.engine.compiled import Hook, evaluated
 from ocp.effects.engine.evaluate import ARM_LAYOUT, ArmRows, arm_rows
@@ -472,7 +472,8 @@ def joint_channel(
     )
     notices = (f"{log.path.name}: {lost} readings are far off their neighbours and not counted",) if lost else ()
     compliance = {j: float(1.0 / robot.stiffness[j - 1]) for j in noise if robot.stiffness[j - 1] > 0}
-    springs = {j: (c, SPRING_SHARE * c if stated else CATALOGUE_SPRING_SD) for j, c in compliance.items()}
+    sd = {j: SPRING_SHARE * c if stated else max(CATALOGUE_SPRING_SD, CATALOGUE_SPRING_SHARE * c) for j, c in compliance.items()}
+    springs = {j: (c, sd[j]) for j, c in compliance.items()}
     arm = encoder_rows(signals, robot, payload)
     problem = EncoderProblem(signals, arm, robot, payload, noise, row, joint, springs, notices, believed)
     return fitted(problem, (), np.ones(len(row), bool))

@@ -140,7 +140,9 @@ def not_written(answer: Answer) -> str:
     one = bool(held) and len(kept) == 1
     which = f"{_capital(effects_words(kept))} {'is' if one else 'are'}" if held else "The named effects are"
     why = f"what {'it promises' if one else 'they promise'} may be nothing, or harm"
-    if harmed:
+    if any(g.elsewhere and {*kept} & {Name(*key) for key in g.shown} for g in answer.gaps):
+        why = "what they rest on is not what the cell says; calibrate it anew first"
+    elif harmed:
         why = f"{', '.join(harmed)}, when left out, said that {'it harms' if one else 'they harm'}"
     elif {g.shrinkage for g in answer.gaps if {*kept} & {Name(*key) for key in g.shown}} == {None}:
         why = f"fitted without {'it' if one else 'them'}, the cell's own parameters follow the readings as well"

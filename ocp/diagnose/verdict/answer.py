@@ -36,7 +36,8 @@ class SignalGap:
     speak of); remaining: rms in `unit` above the instrument's noise after the effects, and the probability that noise alone
     leaves as much; asked: whether the shrinkage is that under the conditions that are to be predicted; beyond: kinds of
     condition in which most of these lie outside of what was measured; shown: keys of the named effects
-    that the signal shows."""
+    that the signal shows; elsewhere: whether its fit leaves what cell and calibration allow, so that it is to be calibrated anew
+    before anything rests on it."""
 
     name: str
     unit: str
@@ -52,6 +53,7 @@ class SignalGap:
     asked: bool = False
     beyond: tuple[str, ...] = ()
     shown: tuple[tuple[str, int], ...] = ()
+    elsewhere: bool = False
 
     @property
     def there(self) -> str:
@@ -69,7 +71,8 @@ class SignalGap:
         harms."""
         assert self.shrinkage is not None
         low = min(self.shrinkage.low, self.promise.get(ANOTHER_DAY, self.shrinkage).low)
-        return low > 0.0 and not self.harmed and all(p.predicted > least for k, p in self.promise.items() if k in self.beyond)
+        safe = not self.harmed and not self.elsewhere
+        return low > 0.0 and safe and all(p.predicted > least for k, p in self.promise.items() if k in self.beyond)
 
 
 @dataclass(frozen=True)
@@ -143,10 +146,7 @@ def promised(diagnosis: Diagnosis, gaps: Sequence[SignalGap]) -> tuple[Active, .
     interval above zero that the gap shrinks, on another day too, and no kind of condition that was left out says that it grows;
     one signal at least does. Beside something of no name, which they may stand for in part, what is asked for beyond what was
     measured must, where it was left out, say so too: else two of 190 force logs, a belt that wanders named a shift of the wheel,
-    come out worse by a third and by 93 %. None where a fit leaves what cell and calibration allow: it says to calibrate anew
-    before anything rests on it."""
-    if any(getattr(g.corrected, "surprises", ()) for g in gaps):
-        return ()
+    come out worse by a third and by 93 %."""
     least = 0.0 if diagnosis.verdict == "partly" else -np.inf
     told = [[g.helps(least) for g in gaps if one.key in g.shown and g.shrinkage is not None] for one in diagnosis.active]
     return tuple(one for one, helps in zip(diagnosis.active, told, strict=True) if helps and all(helps))

@@ -221,7 +221,7 @@ def added_overlap(active: Sequence[Active], place: ContactPlace, rows: Array, ri
 
 def added_by_giving(active: Sequence[Active], place: ContactPlace, rows: Array, rigid: bool, moves: Array, given: Array) -> Array:
     """Derivatives (n, k) of what active effects add in `given` parameters (n, k) that parts and slopes go with; moves (n, 8 k):
-    these two blocks' derivatives in each. What effects add is in proportion to both: a small difference is the derivative."""
+    these two blocks' derivatives in each. What effects add is smooth in both: a small difference is the derivative."""
     out, here = np.zeros_like(given), added_overlap(active, place, rows, rigid)
     for k, move in enumerate(np.split(moves, given.shape[1], axis=1)):
         moved, step = rows.copy(), SMALL * np.maximum(np.abs(given[:, k]), 1.0)
