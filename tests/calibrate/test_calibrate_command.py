@@ -129,7 +129,7 @@ def refused(folder: Path, *arguments: str) -> str:
 def test_a_log_of_another_force_calibrates_nothing(shared_data, tmp_path, monkeypatch):
     for name in ("cell.toml", "blade.stl", "tracker.csv", "force.csv"):
         shutil.copy(shared_data / "worlds" / "force_no_effect" / name, tmp_path)
-    apart = SimpleNamespace(run_offset=4.3)  # as twice the force leaves it (test_force_fit.py)
+    apart = SimpleNamespace(run_offset=4.3, sigma=0.3)  # as twice the force leaves it (test_force_fit.py)
     monkeypatch.setattr("ocp.calibrate.interface.fit_force", lambda cell, log, robot: SimpleNamespace(log=log, figures=apart))
     before = tree(tmp_path)
     told = run(tmp_path, "tracker.csv", "--cell", "cell.toml", "--force", "force.csv")

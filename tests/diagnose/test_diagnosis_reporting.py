@@ -150,10 +150,11 @@ def test_what_is_named_and_not_corrected_is_told_with_its_reason():
     def active(name, joint):
         return SimpleNamespace(key=(name, joint))
 
-    def told(written, high, shrinkage=NONE):
+    def told(written, high, shrinkage=NONE, elsewhere=()):
         shown = (("backlash", 3), ("wheel_wear", 0))
-        gap = SimpleNamespace(harmed=("another setpoint",) if high < 0 else (), shown=shown, shrinkage=shrinkage)
-        other = SimpleNamespace(harmed=(), shown=(), shrinkage=NONE)  # a signal that shows none of them says nothing of them
+        harmed = ("another setpoint",) if high < 0 else ()
+        gap = SimpleNamespace(harmed=harmed, shown=shown, shrinkage=shrinkage, elsewhere=0 in elsewhere)
+        other = SimpleNamespace(harmed=(), shown=(), shrinkage=NONE, elsewhere=1 in elsewhere)  # shows none of them: says nothing
         found = SimpleNamespace(active=both)
         return verdict_sentence.not_written(SimpleNamespace(diagnosis=found, written=written, gaps=(gap, other)))
 
@@ -163,6 +164,8 @@ def test_what_is_named_and_not_corrected_is_told_with_its_reason():
         told((), -1.0) == "The named effects are not in the corrected cell: another setpoint, when left out, said that they harm."
     )
     assert told((), 0.5) == "The named effects are not in the corrected cell: what they promise may be nothing, or harm."
+    assert told((), -1.0, elsewhere=(0,)).endswith("what they rest on is not what the cell says; calibrate it anew first.")
+    assert told((), -1.0, elsewhere=(1,)) == told((), -1.0)
     assert told((), 0.5, None).endswith("fitted without them, the cell's own parameters follow the readings as well.")
     assert told(both[1:], 0.5, None).endswith("fitted without it, the cell's own parameters follow the readings as well.")
     assert told(both[1:], -1.0).startswith(

@@ -184,9 +184,9 @@ class Circles:
     ) -> Sequence[Channel] | None:
         """Where the search would go back to what was fitted: the channels of that fit where it is the better one, by the mean of
         what columns about either say; none where what is held now is, and what its columns flatter is put right; None where no
-        more is to be learnt of the two. Columns about one fit may not hold about another: where a run-out moves the flange its
-        friction makes the run-out's pattern, and seems to explain it; three stiffnesses at the ends of their ranges cancel each
-        other to first order alone."""
+        more is to be learnt of the two, as where one has in its background what the other names. Columns about one fit may not
+        hold about another: where a run-out moves the flange its friction makes the run-out's pattern, and seems to explain it;
+        three stiffnesses at the ends of their ranges cancel each other to first order alone."""
         earlier = self.fits.get(key, ())
         now, then = _names(problem.channels), _names(earlier)
         pair = frozenset([now, then])
@@ -196,14 +196,14 @@ class Circles:
         there, known = linearised(earlier, library, options), {*problem.index}
         both = [_with_lines(search, problem, names) for names in (now, then)]
         first, second = both if all(both) else (now, then)
-        if not now | then | first | second <= known & {*there.index}:
+        twins = {Name(n.effect.lstrip("~"), n.joint) for n in (first | second) - now - then}
+        if twins & (now ^ then) or not now | then | first | second <= known & {*there.index}:
             return None
         here, gain = (_weighed(about, second).log - _weighed(about, first).log for about in (problem, there))
         better, worse, kept = (then, now, earlier) if here + gain > 0 else (now, then, ())
         if worse:
             self.flattered[better].append(Flattered(worse - better or worse, better - worse, 0.5 * (here - gain)))
-        if not kept:
-            self.put_right(search, problem)
+        self.put_right(search, problem)
         return kept
 
 
