@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from ocp.diagnose import answering
 from ocp.diagnose.answering import answer_of, of_another_arm, tracker_channel
 from ocp.diagnose.corrected import calibration_of, summed
 from ocp.diagnose.dataset import read_data_set, read_sealed
@@ -13,6 +14,7 @@ from ocp.diagnose.force.prior import arm_with_effects, posterior_of
 from ocp.diagnose.interface import diagnose
 from ocp.diagnose.joints.channel import joint_channel
 from ocp.diagnose.tracker.channel import TrackerChannel
+from ocp.diagnose.verdict.answer import Followed
 from ocp.effects.catalogue import library
 from ocp.effects.cell_effects import effect_of
 from ocp.effects.effect import Active
@@ -151,3 +153,12 @@ def test_what_a_channel_says_of_its_cell_is_in_the_answer(tmp_path, monkeypatch)
     monkeypatch.setattr(TrackerChannel, "surprises", ("force.csv: of another cell",), raising=False)
     answer = answer_of(tmp_path / "a", Phases(), {"backlash": library()["backlash"]})
     assert "force.csv: of another cell" in answer.notices
+
+
+def test_nothing_of_a_log_of_another_cell_is_patched(tmp_path, monkeypatch):
+    write_tracker_folder(tmp_path / "a", seed=4)
+    monkeypatch.setattr(answering, "unnamed", lambda found, _: Followed(found.baseline[0], found.channels[0], ()))
+    monkeypatch.setattr(answering, "patched", lambda *_: "patch")
+    for surprises, patch in (((), "patch"), (("force.csv: of another cell",), None)):
+        monkeypatch.setattr(TrackerChannel, "surprises", surprises, raising=False)
+        assert answer_of(tmp_path / "a", Phases(), {"backlash": library()["backlash"]}).patch == patch

@@ -93,6 +93,11 @@ def test_a_night_of_other_plans_is_not_gone_on_with(made, tmp_path):
     folder, _ = made
     other = called(app, folder, "bad #1.stl", "blade.stl", *ASKED[:-1], "3")
     assert other.code == 2 and "planned with another step_mm; give the same again" in other.err
+    before = (folder / "cell.toml").read_bytes()
+    (folder / "cell.toml").write_bytes(before + b"# edited\n")
+    other = called(app, folder, "bad #1.stl", "blade.stl", *ASKED)
+    (folder / "cell.toml").write_bytes(before)
+    assert other.code == 2 and "planned with another cell, or file that it names; give the same again" in other.err
     (tmp_path / "far").mkdir()
     shutil.copy(folder / "blade.stl", tmp_path / "far" / "blade.stl")
     with (tmp_path / "far" / "blade.stl").open("a") as file:

@@ -174,10 +174,10 @@ class Circles:
 
     def put_right(self, search: Search, problem: Linearisation) -> None:
         """Weigh the sets of a search that its columns flatter as the average does, by what was found of most."""
-        for key, one in search.sets.items():
-            names, about = {*problem.names(key)}, self.flattered[_names(problem.channels)]
+        about = self.flattered[_names(problem.channels)]
+        for key, names in [(k, {*problem.names(k)}) for k in search.sets]:
             if found := [f.log for f in about if f.names <= names and not f.others & names]:
-                search.sets[key] = replace(one, log=weigh(problem.pool, sorted(key)).log - max(found))
+                search.sets[key] = replace(search.sets[key], log=weigh(problem.pool, sorted(key)).log - max(found))
 
     def settled(
         self, key: tuple[object, ...], problem: Linearisation, search: Search, library: Mapping[str, Effect], options: Options

@@ -214,8 +214,7 @@ def added_overlap(active: Sequence[Active], place: ContactPlace, rows: Array, ri
     """Overlap (n,) m that active effects add at rows (n, k) of CONTACT_LAYOUT."""
     total = np.zeros(len(rows))
     for one in active:
-        if one.effect.overlap is not None or one.effect.push is not None:
-            total += overlap_columns(one.effect, one.joint, (one.scanned,), place, rows, rigid)[0] @ one.a
+        total += overlap_columns(one.effect, one.joint, (one.scanned,), place, rows, rigid)[0] @ one.a
     return total
 
 
