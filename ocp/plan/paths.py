@@ -250,7 +250,7 @@ def _pass_options(cell: Cell, step: float) -> PassOptions:
 
 APART = 3e-3  # m between nominal blade and wheel: poses farther off are approach, not contact
 STRIP = 2.5e-3  # m about the wheel's middle plane and the deepest point that the local fit uses
-SAME_FEED = 0.05  # by which $VEL.CP may change within a pass that has one feed
+SAME_FEED = 0.05  # by which the feed may change within a pass that has one
 LEAST_POINTS = 3  # of contact on a pass: through two no curve on a twisted blade is known
 LEAST_SPACING = 9e-4  # m between contact points that are kept: programs crowd points where they start and stop
 
@@ -295,22 +295,29 @@ def paths_from_program(
 
 @dataclass(frozen=True)
 class _OldContact:
-    """Contact point and outward normal (3,) in the blade frame; where the program has it; its feed m/s, nan where untold."""
+    """Contact point and outward normal (3,) in the blade frame; where the program has it; its feed m/s, nan where untold; the
+    time s in a block that has them, else nan."""
 
     p: Array
     n: Array
     place: str
     feed: float
+    time: float
 
 
 def _touching(cell: Cell, cloud: SurfaceCloud, one: OldPass) -> list[_OldContact]:
-    """The contacts of one path motion, those that are crowded left out."""
+    """The contacts of one path motion, those that are crowded left out; in a block with times at the feed they make."""
     contacts: list[_OldContact] = []
-    for T, line, feed in zip(one.flange @ cell.workpiece.T_flange_blade, one.lines, one.feed, strict=True):
+    times = np.full(len(one.lines), np.nan) if one.times is None else one.times
+    for T, line, feed, time in zip(one.flange @ cell.workpiece.T_flange_blade, one.lines, one.feed, times, strict=True):
         found = _contact(cell, cloud, T)
         if found is not None and not (contacts and np.linalg.norm(found[0] - contacts[-1].p) < LEAST_SPACING):
-            contacts.append(_OldContact(*found, f"{one.file}, line {line}", float(feed)))
-    return contacts
+            contacts.append(_OldContact(*found, f"{one.file}, line {line}", float(feed), float(time)))
+    if one.times is None or len(contacts) < LEAST_POINTS:
+        return contacts
+    s = np.cumsum(np.linalg.norm(np.diff([each.p for each in contacts], axis=0, prepend=[contacts[0].p]), axis=1))
+    rates = np.gradient(s, [each.time for each in contacts])
+    return [replace(each, feed=float(rate)) for each, rate in zip(contacts, rates, strict=True)]
 
 
 def _feed_notices(cell: Cell, name: str, touching: dict[int, list[_OldContact]]) -> list[str]:
@@ -322,14 +329,14 @@ def _feed_notices(cell: Cell, name: str, touching: dict[int, list[_OldContact]])
     notices = []
     if without:
         notices.append(
-            f"{name}: no $VEL.CP is known in {len(without)} of its {len(told)} passes; the cell's feed, "
+            f"{name}: neither times nor $VEL.CP are known in {len(without)} of its {len(told)} passes; the cell's feed, "
             f"{1e3 * cell.process.feed:g} mm/s, is taken there"
         )
     if varied:
         number, feeds = max(varied.items(), key=lambda one: float(np.ptp(one[1]) / np.median(one[1])))
         notices.append(
-            f"{name}: $VEL.CP changes inside of {len(varied)} of its {len(told)} passes, most in path motion {number}, from "
-            f"{1e3 * feeds.min():g} to {1e3 * feeds.max():g} mm/s; each gets one feed, the median of its points"
+            f"{name}: the feed changes inside of {len(varied)} of its {len(told)} passes, most in path motion {number}, from "
+            f"{1e3 * feeds.min():.3g} to {1e3 * feeds.max():.3g} mm/s; each gets one feed, the median of its points"
         )
     return notices
 

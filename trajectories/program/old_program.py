@@ -16,7 +16,8 @@ class OldPass:
 
     `frames` (n, 4, 4): pose of the wheel frame in the blade frame, P = (FLANGE TOOL)^-1 BASE with the cell's frames;
     `flange` (n, 4, 4) nominal poses in the base; `q` (n, 6) rad where the program gives axes; `feed` (n,) m/s toward each point,
-    nan where the program does not tell (a block with times has bounds, not a feed); `file` and `lines` (n,) where they stand.
+    nan where the program does not tell (a block with times has bounds, not a feed); `times` (n,) s of such a block, else None;
+    `file` and `lines` (n,) where they stand.
     """
 
     frames: Array
@@ -25,6 +26,7 @@ class OldPass:
     feed: Array
     file: str
     lines: Array
+    times: Array | None = None
 
 
 def contact_frames_from_program(
@@ -69,7 +71,7 @@ def _pass(
     lines = np.concatenate([s.lines for s in group])
     told = [s.speed if s.times is None and s.speed is not None else np.nan for s in group]
     feed = np.repeat(np.array(told, float), [len(s.lines) for s in group])
-    return OldPass(frames, flange, q, feed, group[0].file, lines)
+    return OldPass(frames, flange, q, feed, group[0].file, lines, group[0].times)
 
 
 def _flange(segment: ProgramSegment, forward: Callable[[Array], Array], tool: Array, base: Array, notices: list[str]) -> Array:
