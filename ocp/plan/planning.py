@@ -9,6 +9,7 @@ import numpy as np
 
 from ocp.contact.wheel.cover import Cover
 from ocp.contact.wheel.law import WheelLaw
+from ocp.effects.effect import Effect
 from ocp.effects.patch import PATCH, lengths_outside
 from ocp.model.blade_gap import SurfaceCloud
 from ocp.model.cell import Cell, floor_notices, history_notices, load_notices, named_files, read_cell
@@ -185,7 +186,12 @@ def planned_motion(job: Job, solved: GroundLines) -> Plan:
     accuracy = cache(lambda: working_accuracy(job.believed, cell, job.ground.theta, contact.law, motion.passes))
     with job.phases.phase("removal"):
         removal = find_removal(cell, motion, contact.cover, laid.cloud, laid.flanks, laid.wanted, accuracy)
-    told = [*removal.beside_told(), *patch_notices(cell, motion.passes), *softer_notices([p.grinding() for p in motion.passes])]
+    told = [
+        *removal.beside_told(),
+        *corrected_for(cell),
+        *patch_notices(cell, motion.passes),
+        *softer_notices([p.grinding() for p in motion.passes]),
+    ]
     if job.options.fitted:
         told.insert(0, feeds_told(cell, [p.grinding().problem.path for p in motion.passes], laid.wanted, job.options.laid))
 
@@ -227,6 +233,19 @@ def softer_notices(passes: Sequence[SolvedPass]) -> list[str]:
         f"reaches {peak * force:.1f} of {force:g} N, at as much less of its feed{less}; "
         f"for the whole force ask for at most {peak * feed:.3g} mm/s there, or make the line longer"
     ]
+
+
+def corrected_for(cell: Cell) -> list[str]:
+    """A sentence on what of the cell the commands are corrected for beside its calibration."""
+    moving = [e for e in cell.effects if _moves(e.active.effect)]
+    names = [f"{e.name} of joint {e.joint}" if e.joint else e.name for e in moving]
+    return [f"the commands are corrected for what {cell.path.name} names: {', '.join(names)}"] if names else []
+
+
+def _moves(effect: Effect) -> bool:
+    """Whether it moves the arm, wheel or blade, and is no matter of when something is recorded."""
+    hooks = effect.joint, effect.torque, effect.twist, effect.overlap, effect.push
+    return effect.subsystem != "timing" and any(hook is not None for hook in hooks)
 
 
 def patch_notices(cell: Cell, passes: Sequence[SolvedPass]) -> list[str]:

@@ -5,6 +5,7 @@ from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -28,7 +29,7 @@ from ocp.plan.passes.problem import WINDOW, PassProblem, approach_signs, with_di
 from ocp.plan.passes.solve import PassSolver
 from ocp.plan.passes.stage import ObjectiveWeights
 from ocp.plan.paths import PlanOptions
-from ocp.plan.planning import cell_to_plan, patch_notices
+from ocp.plan.planning import cell_to_plan, corrected_for, patch_notices
 from ocp.plan.second_route import BelievedRobot, _equilibrium, moved_arm
 from robots.errors import BadInput
 from robots.reference_kinematics import elementary_forward
@@ -372,3 +373,17 @@ def test_the_command_plans_a_corrected_cell_and_its_text_holds_the_force(tmp_pat
         "patch joint|q3|2|0.0002",
         "patch force|q6 x s|2|0.8",
     ] and cell.conditions.clock == 900.0
+
+
+def test_a_plan_names_what_its_commands_are_corrected_for():
+    """Not what only remembers, which no command can take out, nor the sensor's own."""
+    told = [
+        {"effect": "encoder_scale", "joint": 3, "scale": 3e-4},
+        {"effect": "channel_delay", "s": 0.004},
+        {"effect": "sensor_bias", "N": 0.5},
+        {"effect": "wheel_wear", "m_per_s": 1e-9},
+    ]
+    cell: Any = SimpleNamespace(path=Path("cell.toml"), effects=[effect_of(one) for one in told])
+    assert corrected_for(cell) == ["the commands are corrected for what cell.toml names: encoder_scale of joint 3, wheel_wear"]
+    cell.effects = []
+    assert corrected_for(cell) == []
