@@ -511,9 +511,9 @@ axis, whose gain and zero are worse known than the first's."""
 SHEAR_BIAS_SD = 0.1
 """[N] The same of its zero. Guards and Reason: as SHEAR_GAIN_SD."""
 
-RUN_SD = 0.02
-"""[N] What recordings differ by for reasons too small to name: repeatability of the arm, temperature of the air. Guards: effects
-that move whole runs against being too sure. Reason: well below a reading's usual noise (0.3 N); no reason known for the value."""
+JOINTS_REPEAT = 1e-5
+"""[rad] By which each joint comes back to a recording's path, one sigma. Guards: effects that move whole runs against being too
+sure: on a rigid mount it makes 0.4 N. Reason: DIAGNOSIS, Second method (within a factor of 2)."""
 
 LOOSE = 0.25
 """[-] Of the force that presses, above which scatter is no noise of a contact. Guards: logs that jump by newtons in ways nothing

@@ -14,7 +14,7 @@ from scipy.stats import chi2
 
 from ocp.calibrate.force import rows as log_rows
 from ocp.calibrate.force.assessment import blocks_of, held_out_blocks
-from ocp.calibrate.force.blade import points_on_surface
+from ocp.calibrate.force.blade import feed_heading, points_on_surface
 from ocp.calibrate.force.fit import (
     BIAS,
     FIT_NAMES,
@@ -28,13 +28,15 @@ from ocp.calibrate.force.fit import (
     surprise,
 )
 from ocp.calibrate.force.log import ForceLog, read_force_log
-from ocp.calibrate.force.model import STATE, ForceModel, ForceRows, PlacedRows
+from ocp.calibrate.force.model import CORRECTION, STATE, ForceModel, ForceRows, PlacedRows
 from ocp.calibrate.force.registration import ForceFit, fit_force, refuse_other_force
 from ocp.calibrate.force.rows import ForceSetup, _model_of, measured_blade, prepare_force
 from ocp.calibrate.report.pages import contact_sections
+from ocp.contact.wheel.signorini import LocalShape, solve_force
 from ocp.data import CELL
-from ocp.model.cell import read_cell
-from ocp.model.theta import registered
+from ocp.model.blade_gap import surface_shape
+from ocp.model.cell import Cell, read_cell
+from ocp.model.theta import believed_theta, registered, wheel_at
 from ocp.plan.paths import surface_cloud
 from ocp.report.parts import Plot, Table
 from ocp.report.plotting import WIDTH, Canvas
@@ -216,9 +218,9 @@ def test_the_joint_covariance_goes_into_a_calibration_and_back(recorded, tmp_pat
     assert back.values[at["base_x"]] - 0.7 == pytest.approx(0.5 * moved, rel=1e-6)
     assert "poses" in back.provenance and back.provenance["force"]["rows"] == recorded.fit.figures.rows
     cell, theta = registered(replace(recorded.world.cell, calibration=back))
-    law = recorded.setup.model.law
+    law = recorded.fit.setup.model.law
     softer = replace(law, geometry=replace(law.geometry, modulus=cell.wheel.cover_modulus))
-    rows = recorded.setup.rows[0].take(slice(0, None, 40))
+    rows = recorded.fit.setup.rows[0].take(slice(0, None, 40))
     give = rows.waypoint.copy()
     give[:, 12:15] /= 1 + recorded.fit.solution.x[FIT_NAMES.index("blade_stiffness_scale")]
     rows = replace(rows, waypoint=give, setpoint=rows.setpoint + cell.flange.setpoint - 20.0)
@@ -226,12 +228,16 @@ def test_the_joint_covariance_goes_into_a_calibration_and_back(recorded, tmp_pat
     np.testing.assert_allclose(plan, recorded.fit.solution.reading[::40] - recorded.fit.solution.x[BIAS], atol=0.02)
 
 
+def joints(cell: Cell) -> float:
+    return believed_theta(replace(cell, calibration=arm_posterior(cell))).joint_noise
+
+
 def test_folds_are_refits_without_the_block(recorded):
-    log, rows = recorded.log, recorded.setup.rows[0]
+    log, rows = recorded.log, recorded.fit.setup.rows[0]
     fold = held_out_blocks(recorded.fit.solution, log, rows)["run"][3]
     kept = log.run != 3
     prior = force_prior(recorded.world.cell, arm_posterior(recorded.world.cell))
-    again = solve_force_log(recorded.setup.model, rows.take(kept), log.take(kept), prior)
+    again = solve_force_log(recorded.setup.model, rows.take(kept), log.take(kept), prior, joints(recorded.world.cell))
     reading = reading_of(recorded.setup.model, rows.take(~kept), again.x)[1]
     error = log.fn[~kept] - reading
     assert fold.rms == pytest.approx(np.sqrt(np.mean(error**2)), rel=0.05)
@@ -248,10 +254,10 @@ def test_what_cannot_be_seen_is_named(recorded):
 
 
 def tampered(recorded: Recorded, fn: np.ndarray, keep: np.ndarray | None = None) -> ForceFit:
-    log, rows = replace(recorded.log, fn=fn), recorded.setup.rows[0]
+    log, setup = replace(recorded.log, fn=fn), recorded.setup
     if keep is not None:
-        log, rows = log.take(keep), rows.take(keep)
-    return fit_force(recorded.world.cell, log, arm_posterior(recorded.world.cell), replace(recorded.setup, rows=(rows,)))
+        log, setup = log.take(keep), setup.take(keep)
+    return fit_force(recorded.world.cell, log, arm_posterior(recorded.world.cell), setup)
 
 
 def test_without_air_the_bias_is_not_told(recorded):
@@ -264,8 +270,8 @@ def test_without_air_the_bias_is_not_told(recorded):
 def test_the_sensors_own_sigma_is_the_least_that_is_believed(recorded):
     log = replace(recorded.log, sigma_fn=np.full(len(recorded.log), 0.6))
     prior, rows = recorded.fit.solution.prior, recorded.setup.rows[0]
-    shy = solve_force_log(recorded.setup.model, rows, log, prior)
-    bold = solve_force_log(recorded.setup.model, rows, replace(log, sigma_fn=0.01 * log.sigma_fn), prior)
+    shy = solve_force_log(recorded.setup.model, rows, log, prior, 0.0)
+    bold = solve_force_log(recorded.setup.model, rows, replace(log, sigma_fn=0.01 * log.sigma_fn), prior, 0.0)
     i = FIT_NAMES.index("sensor_bias")
     assert np.all(shy.channel.sigma() >= 0.6) and np.median(bold.channel.sigma()) == pytest.approx(0.2, rel=0.15)
     assert shy.covariance[i, i] > 4 * bold.covariance[i, i]
@@ -327,7 +333,7 @@ def test_intervals_cover(recorded):
     for _ in range(24):
         x = prior.mean + prior.root @ rng.normal(size=prior.root.shape[1])
         noise = np.concatenate([correlated(rng, int((log.run == i).sum())) for i in np.unique(log.run)])
-        solution = solve_force_log(model, rows, replace(log, fn=reading_of(model, rows, x)[1] + noise), prior)
+        solution = solve_force_log(model, rows, replace(log, fn=reading_of(model, rows, x)[1] + noise), prior, 0.0)
         sd = np.sqrt(np.diag(solution.covariance))
         F, reading = reading_of(model, fresh, solution.x)
         J = reading_jacobian(model, fresh, solution.x, F)
@@ -337,6 +343,49 @@ def test_intervals_cover(recorded):
     share = np.mean(inside, axis=0)
     # 24 campaigns: one figure may lie between 0.70 and 1, all together have little left to chance.
     assert (share >= 0.7).all() and 0.83 < share.mean() < 0.97, share
+
+
+def test_a_rigid_contact_departs_from_the_law_where_the_blade_sits(recorded):
+    """With the wheel 0.2 mm aside and the blade turned by a milliradian: what was differenced about the first place, and what is
+    solved anew there, which is the contact of the blade's surface with the wheel where it is."""
+    model, surface = ForceModel(replace(recorded.world.cell, flange=None), recorded.setup.model.law), recorded.setup.surface
+    assert surface is not None
+    touching = np.flatnonzero(recorded.setup.rows[0].contact)
+    beside = np.argsort(np.abs(recorded.setup.rows[0].waypoint[touching, CORRECTION]))
+    rows = recorded.setup.rows[0].take(touching[np.r_[beside[-400::40], beside[::200]]])
+    about = replace(surface, about=np.full(len(rows), 20.0), larger=np.zeros(len(rows)))
+    setup, x = ForceSetup(model, (rows,), (), about), recorded.fit.solution.x[:BIAS]
+    moved = x.copy()
+    for name, by in {"wheel_y": 2e-4, "blade_c": 1e-3, "blade_a": 1e-3}.items():
+        moved[FIT_NAMES.index(name)] += by
+
+    def wheel(made: ForceSetup, theta: np.ndarray) -> np.ndarray:
+        return model.evaluate("state", PlacedRows.of(model.cell, made.rows[0], theta), about.about)
+
+    here, anew = setup.at(x), setup.at(moved)
+    at = wheel(here, x)
+    posture, fixed = np.column_stack([at[:, STATE["lateral"]], at[:, STATE["tilt"]]]), here.rows[0].waypoint.copy()
+    fixed[:, CORRECTION] += np.sum(here.rows[0].sway * posture, axis=1)
+    plain = ForceSetup(model, (replace(here.rows[0], waypoint=fixed, sway=np.zeros((len(rows), 3))),), ())
+    told, still, state = (wheel(made, moved) for made in (here, plain, anew))
+    left, without = (np.abs(one[:, STATE["parts"]] - state[:, STATE["parts"]])[:, 1] for one in (told, still))
+    assert np.linalg.norm(left) < 0.5 * np.linalg.norm(without) and without.max() > 3e-6, (left, without)
+    for k in range(0, len(rows), 5):
+        kxx, kyy, kxy = state[k, STATE["curvature"]]
+        T, one = state[k, STATE["T"]].reshape(4, 4), wheel_at(model.cell.wheel, moved)
+        flat = LocalShape(kxx, kyy, kxy, state[k, STATE["lateral"]][0], *state[k, STATE["tilt"]])
+        flat = replace(flat, heading=feed_heading(one, T, rows.waypoint[k]))
+        found = solve_force(about.cover, 20.0, surface_shape(one, about.cloud, flat, T, rows.waypoint[k, :3]))
+        assert state[k, STATE["parts"]][1] == pytest.approx(found.indentation, abs=3e-6)
+
+
+def test_a_wheel_that_was_larger_stays_so_where_rows_are_placed_anew(recorded):
+    setup, x = recorded.setup.take(np.arange(len(recorded.log)) % 40 == 0), recorded.fit.solution.x[:BIAS]
+    depth = np.linspace(0.0, 1e-4, len(setup.rows[0])) * setup.rows[0].contact
+    plain, larger = setup.at(x), setup.with_larger(depth).at(x).at(x)
+    assert len(setup.rows) == 1 and len(setup.surface.about) == len(depth)
+    change = plain.rows[0].waypoint[:, CORRECTION] - larger.rows[0].waypoint[:, CORRECTION]
+    np.testing.assert_allclose(change, depth, atol=1e-12)
 
 
 def test_without_a_flange_force_ends_where_the_overlap_ends(recorded):

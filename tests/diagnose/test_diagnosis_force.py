@@ -494,7 +494,7 @@ def test_an_effect_that_sealed_conditions_say_nothing_of_is_in_the_sigma(made, t
     assert not told.lacking and untold.lacking == ("wheel_temperature",)
     at = sealed.contact
     errors = [np.sqrt(np.mean((p.corrected[:, 0] - truth[late])[at] ** 2)) for p in (told, untold)]
-    assert errors[0] < 0.3 * errors[1] and untold.sigma[at].mean() > 2 * told.sigma[at].mean()
+    assert errors[0] < 0.3 * errors[1] and untold.sigma[at].mean() > 1.8 * told.sigma[at].mean()  # what runs differ by is in both
     assert errors[1] < 3 * untold.sigma[at].mean() and np.isfinite(untold.corrected).all()
     # Without its clock the sealed log comes after the log.
     worn = _again(made, log).with_active((_active("wheel_wear"),))

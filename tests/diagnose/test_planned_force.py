@@ -96,7 +96,7 @@ def ranked(name: str, a: list[float], scanned: dict | None = None, joint: int = 
 
 def test_a_plan_tells_the_sizes_that_its_measured_log_shows(made, plan):
     told, shown = sizes(plan, SLOW), sizes(made.channel, SLOW)
-    assert np.isfinite(told).all() and np.allclose(told / shown, 1.0, atol=0.2), told / shown
+    assert np.isfinite(told).all() and np.allclose(told / shown, 1.0, atol=0.3), told / shown
     system = plan.system
     energy = energy_of(plan, project(system.nuisance, system.prior_sd).apply, EFFECTS["wheel_wear"], 0)
     assert 20 < told[SLOW.index("wheel_wear")] ** 2 * energy < 60  # lambda at which one variant is named nine times of ten

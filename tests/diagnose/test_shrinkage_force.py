@@ -19,7 +19,6 @@ from ocp.diagnose.force.logged_contact import logged_arm
 from ocp.diagnose.force.prediction import LogScene, predict_forces
 from ocp.diagnose.force.shrinkage import LaterGrinding, after_log, anticipated_grinding, from_grinding
 from ocp.diagnose.foresee.anticipated import anticipated_shrinkage
-from ocp.diagnose.rules import RUN_SD
 from ocp.diagnose.verdict.answer import Followed
 from ocp.diagnose.verdict.shrinkage import Shrinkage
 from ocp.effects.catalogue import library
@@ -40,6 +39,7 @@ PLAN = (
 LATE = (Pass(1, feed=0.06, setpoint=25.0, pause=240.0), Pass(0, feed=0.03))
 WEAR = 3e-7  # m/s
 NOISE = 0.04  # N^2
+RUN_SD = 0.02  # N
 
 
 def new(*moved: float, error: float = 0.1, doubt: float = 0.0, runs: int = 40) -> LaterGrinding:

@@ -6,26 +6,30 @@ the wheel law (direct contact solutions).
 """
 
 from dataclasses import asdict, dataclass, replace
+from functools import cached_property
+from typing import Any
 
+import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import RBFInterpolator
 from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
 
-from ocp.calibrate.force.log import Flags, ForceLog
-from ocp.calibrate.force.model import STATE, ForceModel, ForceRows, PlacedRows
+from ocp.calibrate.force.log import Flags, ForceLog, Index
+from ocp.calibrate.force.model import CORRECTION, STATE, ForceModel, ForceRows, PlacedRows
 from ocp.contact.blade.compliance import HeldBlade, clamped_blade, contact_components
 from ocp.contact.blade.elasticity import Material
 from ocp.contact.blade.volume_mesh import VERSION as MESH_VERSION
 from ocp.contact.wheel.cover import Cover
+from ocp.contact.wheel.law import WheelLaw
 from ocp.contact.wheel.signorini import LocalShape, solve_force
 from ocp.model.blade_gap import SurfaceCloud, surface_shape
 from ocp.model.cell import Cell, Wheel
-from ocp.model.force_balance import N_WAYPOINT
-from ocp.model.theta import believed_theta
-from ocp.shell.cache import Entry, content_key, recall, remember
+from ocp.model.theta import NAMES, wheel_at
+from ocp.shell.cache import Entry, content_key, flattened, recall, remember
 from robots.errors import Infeasible
-from robots.pose import Array
+from robots.pose import Array, apply, invert, make_transform
 from trajectories.blade import AerofoilShape, Blade
 from trajectories.blade.spline import curvature_in_frame
 from trajectories.path_points import angles_to_surface, facet_curvature, feet_on_blade, refuse_metres
@@ -183,48 +187,62 @@ def _smooth(places: Array, values: Array, neighbours: int, wanted: Array) -> Arr
     return np.asarray(RBFInterpolator(1e3 * places, values, near, kernel="linear", degree=0)(1e3 * wanted))
 
 
-CORRECTION_VERSION = "indentation correction 2"  # part of the cache key: raise it when results change
-CORRECTION_SPACING = 16e-3  # m between stations; the departure from the quadratic varies slowly along a pass
+CORRECTION_VERSION = "indentation correction 3"  # part of the cache key: raise it when results change
+COARSE, FINE = 16e-3, 4e-3  # m between stations, with a flange and without: there 10 um are half a newton
+SWAY = (2e-4, 2e-3, 2e-3)  # m, rad, rad over which: what registration is open by
 FORCE_LENGTH = 1e-3  # m that one newton counts for in distances between stations
 LATERAL_WEIGHT = 2.0  # a shift across the wheel counts this much more than one along the blade: its edges matter
 CORRECTION_NEIGHBOURS = 12
-CORRECTION = N_WAYPOINT - 1  # its column of a waypoint
 
 
-def with_indentation_correction(model: ForceModel, cover: Cover, cloud: SurfaceCloud, rows: ForceRows, force: Array) -> ForceRows:
-    """`rows` with the correction (m) of each in its waypoint: indentation under `force` (n,) N on the real surface less that on
-    the local quadratic, both solved on `cover`, at the cell's nominal postures. Its cells are to be fine: where the blade
-    ends under the wheel, coarse ones put the edge in the wrong place (docs/force_registration.md).
+def with_indentation_correction(
+    model: ForceModel, cover: Cover, cloud: SurfaceCloud, rows: ForceRows, force: Array, theta: Array
+) -> ForceRows:
+    """`rows` with the correction (m) of each in its waypoint: indentation under `force` (n,) N on the real surface, solved on
+    `cover`, less that by the model's law, about the postures that parameters `theta` (M,) make. In a rigid cell also what it
+    changes by with them: near an edge a blade that sits 0.2 mm aside is pressed 20 um deeper. The cover's cells are to be fine:
+    where the blade ends under the wheel, coarse ones put the edge in the wrong place (docs/force_registration.md).
 
-    Where the real surface cannot be solved (the wheel bears far from the point) the quadratic is left alone.
+    Where the real surface cannot be solved (the wheel bears far from the point) the law is left alone.
     """
     touching = np.flatnonzero(rows.contact)
     if not len(touching):
         return rows
-    part = rows.take(touching)
-    theta = believed_theta(replace(model.cell, calibration=None)).values
+    plain = rows.waypoint[touching].copy()
+    plain[:, CORRECTION] = 0.0
+    part = replace(rows.take(touching), waypoint=plain, sway=np.zeros((len(touching), 3)))
     state = model.evaluate("state", PlacedRows.of(model.cell, part, theta), force[touching])
-    lateral = LATERAL_WEIGHT * state[:, STATE["lateral"]]
+    posture = np.column_stack([state[:, STATE["lateral"]], state[:, STATE["tilt"]]])
     p, n = part.waypoint[:, :3], part.waypoint[:, 3:6]
-    place = np.hstack([p, NORMAL_LENGTH * n, FORCE_LENGTH * force[touching, None], lateral])
-    at = spread_stations(p, place[:, 3:] / NORMAL_LENGTH, CORRECTION_SPACING)
-    rows_key = (part.q[at], part.waypoint[at, :12], force[touching][at])
-    cell_key = (model.cell.wheel.centre, model.cell.wheel.axis, model.cell.workpiece.T_flange_blade)
-    key = content_key(CORRECTION_VERSION, repr(asdict(cover.geometry)), cover.dx, cloud.points, *rows_key, *cell_key)
+    place = np.hstack([p, NORMAL_LENGTH * n, FORCE_LENGTH * force[touching, None], LATERAL_WEIGHT * posture[:, :1]])
+    far = spread_stations(p, place[:, 3:] / NORMAL_LENGTH, COARSE)
+    rigid = model.cell.flange is None
+    near = spread_stations(p, place[:, 3:] / NORMAL_LENGTH, FINE) if rigid else far
+    newton = force[touching] / (1.0 + theta[NAMES.index("cover_stiffness_scale")])  # on a cover as soft as the law's
+    wheel, law = wheel_at(model.cell.wheel, theta), (value for _, value in sorted(flattened(model.law).items()))
+    seen = np.concatenate([np.r_[STATE[name]] for name in ("lateral", "tilt", "curvature", "T")])
+    given = (near, far, float(rigid), state[:, seen], part.waypoint[:, :9], newton, wheel.centre, wheel.axis, wheel.radius, *law)
+    key = content_key(CORRECTION_VERSION, repr(asdict(cover.geometry)), cover.dx, cloud.points, *given)
 
     def compute() -> Entry:
-        chosen, newton = part.take(at), force[touching][at]
-        solved = [_departure(model, cover, cloud, chosen, state[at], float(F), k) for k, F in enumerate(newton)]
-        return {"correction": np.array(solved)}
+        solve = _Departures(model.law, wheel, cover, cloud, part, state, newton)
+        sway = np.array([solve.sway(k) for k in far]) if rigid else np.zeros((len(far), 3))
+        return {"correction": np.array([solve.at(k) for k in near]), "sway": sway}
 
-    known = np.asarray(remember("force-correction", key, compute)["correction"], float)
-    sound = np.isfinite(known)
-    waypoint = rows.waypoint.copy()
-    if sound.sum() >= 3:
-        waypoint[touching, CORRECTION] = _smooth(place[at][sound], known[sound], CORRECTION_NEIGHBOURS, place)
-    elif sound.any():
-        waypoint[touching, CORRECTION] = known[sound].mean()
-    return replace(rows, waypoint=waypoint)
+    known = remember("force-correction", key, compute)
+    correction = _spread_out(place, near, np.asarray(known["correction"], float)[:, None])[:, 0]
+    sway = _spread_out(place, far, np.asarray(known["sway"], float))
+    waypoint, whole = rows.waypoint.copy(), np.zeros((len(rows), 3))
+    waypoint[touching, CORRECTION], whole[touching] = correction - np.sum(sway * posture, axis=1), sway
+    return replace(rows, waypoint=waypoint, sway=whole)
+
+
+def _spread_out(place: Array, at: Index, values: Array) -> Array:
+    """Values (m, k) at all places (m, d) from those (j, k) at the stations `at` (j,), nan where there is no solution."""
+    sound = np.isfinite(values).all(axis=1)
+    if sound.sum() < 3:
+        return np.broadcast_to(values[sound].mean(axis=0) if sound.any() else 0.0, (len(place), values.shape[1]))
+    return _smooth(place[at][sound], values[sound], CORRECTION_NEIGHBOURS, place)
 
 
 def feed_heading(wheel: Wheel, T: Array, waypoint: Array) -> tuple[float, float]:
@@ -234,19 +252,44 @@ def feed_heading(wheel: Wheel, T: Array, waypoint: Array) -> tuple[float, float]
     return float(t @ np.cross(wheel.axis, e / np.linalg.norm(e))), float(t @ wheel.axis)
 
 
-def _departure(
-    model: ForceModel, cover: Cover, cloud: SurfaceCloud, rows: ForceRows, state: Array, force: float, k: int
-) -> float:
-    """Correction m of row k; nan where there is no solution."""
-    lateral, tilt_x, tilt_y, kxx, kyy, kxy = (
-        float(v) for name in ("lateral", "tilt", "curvature") for v in state[k, STATE[name]]
-    )
-    T = state[k, STATE["T"]].reshape(4, 4)
-    wheel = model.cell.wheel
-    flat = LocalShape(kxx, kyy, kxy, lateral, tilt_x, tilt_y, heading=feed_heading(wheel, T, rows.waypoint[k]))
-    real = surface_shape(wheel, cloud, flat, T, rows.waypoint[k, :3])
-    try:
-        contact = solve_force(cover, force, real)
-        return contact.indentation - solve_force(cover, force, flat, contact).indentation
-    except Infeasible:
-        return float("nan")
+@dataclass(frozen=True)
+class _Departures:
+    """Corrections of rows in contact: the wheel where it is, their states (n, k) without one, force (n,) N on a cover as
+    soft as the law's."""
+
+    law: WheelLaw
+    wheel: Wheel
+    cover: Cover
+    cloud: SurfaceCloud
+    rows: ForceRows
+    state: Array
+    force: Array
+
+    def at(self, k: int, lateral: float = 0.0, tilt_x: float = 0.0, tilt_y: float = 0.0) -> float:
+        """Of row k, m, moved along the wheel's axis and turned about the contact; nan where there is no solution."""
+        own = self.state[k]
+        kxx, kyy, kxy = (float(v) for v in own[STATE["curvature"]])
+        y, (a, b) = float(own[STATE["lateral"]][0]) + lateral, (float(v) for v in own[STATE["tilt"]])
+        T, point, wheel = own[STATE["T"]].reshape(4, 4), self.rows.waypoint[k, :3], self.wheel
+        radial = wheel.cylindrical(apply(T, point[None]))[1][0]
+        belt = np.cross(wheel.axis, radial / np.linalg.norm(radial))
+        turn = make_transform(Rotation.from_rotvec(tilt_y * belt - tilt_x * wheel.axis).as_matrix(), lateral * wheel.axis)
+        middle = make_transform(np.eye(3), apply(T, point[None])[0])
+        T = middle @ turn @ invert(middle) @ T
+        heading = feed_heading(wheel, T, self.rows.waypoint[k])
+        flat = LocalShape(kxx, kyy, kxy, y, a + tilt_x, b + tilt_y, heading=heading)
+        try:
+            contact = solve_force(self.cover, float(self.force[k]), surface_shape(wheel, self.cloud, flat, T, point))
+        except Infeasible:
+            return float("nan")
+        return contact.indentation - float(self._indentation(self.force[k], kxx, kyy, kxy, y, flat.tilt_x, flat.tilt_y))
+
+    def sway(self, k: int) -> list[float]:
+        """What the correction of row k changes by with lateral m and the two tilts."""
+        moved = [self.at(k, *step) - self.at(k, *-step) for step in np.diag(SWAY)]
+        return [change / (2.0 * step) for change, step in zip(moved, SWAY, strict=True)]
+
+    @cached_property
+    def _indentation(self) -> Any:
+        inputs = [ca.SX.sym(name) for name in ("F", "kxx", "kyy", "kxy", "lateral", "tilt_x", "tilt_y")]
+        return ca.Function("indentation", inputs, [self.law.indentation(*inputs)])

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from ocp.calibrate.force.log import Flags, ForceLog
-from ocp.calibrate.force.model import ForceModel, ForceRows
+from ocp.calibrate.force.model import ForceModel, ForceRows, PlacedRows
 from ocp.calibrate.force.noise import ReadingNoise, Whitened, channel_of
 from ocp.model.cell import Cell
 from ocp.model.theta import NAMES, believed_theta, covariance_root
@@ -114,7 +114,8 @@ class Prior:
 class ForceSolution:
     """The MAP estimate of a log.
 
-    x (m,) and covariance (m, m) in the order of FIT_NAMES; offset N: standard deviation of the runs' offsets (0 without any).
+    x (m,) and covariance (m, m) in the order of FIT_NAMES; offset N: standard deviation of the runs' offsets that the log shows
+    (0 without any), allowed N: what the fit has them free by, at least what joints do beside the model.
     reading (n,) N: predicted with the sensor's bias, without offsets; before (n,) N: the same at the prior's mean; jacobian
     (n, m) of the reading. channel: noise and weights; whitened residuals and sensitivities to the standard normal unknowns z
     (r + o,), those of x first, then one for each run's offset; information (r + o,)^2 of z, the prior's in.
@@ -124,6 +125,7 @@ class ForceSolution:
     x: Array
     covariance: Array
     offset: float
+    allowed: float
     reading: Array
     before: Array
     jacobian: Array
@@ -207,8 +209,20 @@ def reading_jacobian(model: ForceModel, rows: ForceRows, x: Array, F: Array) -> 
     return np.hstack([model.sensitivity(rows, x[:BIAS], F), np.ones((len(rows), 1))])
 
 
-def solve_force_log(model: ForceModel, rows: ForceRows, log: ForceLog, prior: Prior) -> ForceSolution:
-    """The most probable parameters given the log, and their covariance; runs that differ are allowed for.
+def unmodelled_force(model: ForceModel, rows: ForceRows, x: Array, F: Array, joint_noise: float) -> float:
+    """One sigma N, rms over the rows in contact, of what joints do beside the model (`joint_noise` rad), at parameters x and
+    forces F (n,): the least that runs differ by."""
+    at = np.flatnonzero(rows.contact)
+    if not len(at):
+        return 0.0
+    by = model.evaluate("derivative", PlacedRows.of(model.cell, rows.take(at), x[:BIAS]), np.maximum(F[at], model.least_force))
+    slopes = by[:, -6:] / by[:, :1]
+    return float(joint_noise * np.sqrt(np.mean(np.sum(slopes**2, axis=1))))
+
+
+def solve_force_log(model: ForceModel, rows: ForceRows, log: ForceLog, prior: Prior, joint_noise: float) -> ForceSolution:
+    """The most probable parameters given the log, and their covariance; runs that differ are allowed for, by at least what the
+    arm's joints do beside the model (rad).
 
     The noise comes from the scatter about the prior's prediction first, then about the fit's. Raises Infeasible where the
     iteration does not come to rest.
@@ -223,11 +237,13 @@ def solve_force_log(model: ForceModel, rows: ForceRows, log: ForceLog, prior: Pr
     white = at.whitened
     shown = at.channel.whitened(np.zeros(len(log)), indicator).sensitivity
     size = offset_size(white.sensitivity, shown, white.residual + white.sensitivity @ at.z)
-    if size > 0:
-        at = _settled(replace(at, z=np.concatenate([at.z, np.zeros(indicator.shape[1])]), extra=size * indicator))
+    allowed = max(size, unmodelled_force(model, rows, at.x, at.F, joint_noise))
+    if allowed > 0:
+        at = _settled(replace(at, z=np.concatenate([at.z, np.zeros(indicator.shape[1])]), extra=allowed * indicator))
     information = np.eye(len(at.z)) + at.channel.information(at.whitened.sensitivity)
     covariance = covariance_left(prior.root, information)
-    return ForceSolution(prior, at.x, covariance, size, at.reading, before, at.jacobian, at.channel, at.whitened, information)
+    sizes = (size, allowed)
+    return ForceSolution(prior, at.x, covariance, *sizes, at.reading, before, at.jacobian, at.channel, at.whitened, information)
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ own (a blade that moved, an error of a gear) and an extra interference by effect
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any
 
@@ -17,12 +17,13 @@ from ocp.calibrate.force.log import Flags, Index
 from ocp.contact.wheel.law import WheelLaw
 from ocp.effects.engine.compiled import RowLayout
 from ocp.model.cell import Cell
-from ocp.model.force_balance import build_model
+from ocp.model.force_balance import N_WAYPOINT, build_model
 from ocp.model.theta import NAMES, Theta
 from ocp.shell.native import ColumnFunction, compile_together
 from robots.kinematics import evaluate_rows
 from robots.pose import Array, Stacked
 
+CORRECTION = N_WAYPOINT - 1  # of a waypoint, the column of the indentation's correction
 SETPOINT = NAMES.index("flange_setpoint_offset")
 # Parameters that what gives way under the force goes with most, and effects with that.
 _GIVING = "cover_stiffness_scale", "blade_stiffness_scale", "flange_stiffness", "flange_setpoint_offset"
@@ -48,13 +49,18 @@ Extra = Callable[[Index, Array, Array], Array]
 class ForceRows(Stacked):
     """What the model needs of n logged rows: commanded joints q (n, 6) rad, waypoint (n, 16) as `force_balance.WAYPOINT` (of a
     cell with effects their conditions follow), setpoint (n,) N of the flange, belt (n,) -1, 0 or 1: sign of the belt's speed,
-    contact (n,) False in the air."""
+    contact (n,) False in the air; sway (n, 3): what the indentation's correction changes by with lateral m and the two tilts."""
 
     q: Array
     waypoint: Array
     setpoint: Array
     belt: Array
     contact: Flags
+    sway: Array = field(default_factory=lambda: np.zeros((0, 3)))
+
+    def __post_init__(self) -> None:
+        if not len(self.sway):
+            object.__setattr__(self, "sway", np.zeros((len(self.q), 3)))
 
     def __len__(self) -> int:
         return len(self.q)
@@ -101,6 +107,10 @@ class ForceModel:
         belt: Any = ca.SX.sym("belt")
         wheel = replace(self.cell.wheel, friction=friction, belt_speed=belt)
         model = build_model(replace(self.cell, wheel=wheel), self.law)
+        w, sway, posture = model.w, ca.SX.sym("sway", 3), ca.vertcat(model.lateral, model.tilt)
+        moved = ca.vertcat(w[:CORRECTION], w[CORRECTION] + ca.dot(sway, posture), w[CORRECTION + 1 :])
+        residual, parts = ca.substitute([model.residual, model.parts], [w], [moved])
+        model = replace(model, residual=residual, parts=parts)
         slope, slopes = ca.jacobian(model.residual, model.F), ca.jacobian(model.parts, model.F)
         place = [
             model.arc,
@@ -117,7 +127,7 @@ class ForceModel:
         by = ca.horzcat(slope, ca.jacobian(model.residual, model.theta), ca.jacobian(model.residual, model.q))
         outputs = {"state": ca.vertcat(*state), "derivative": by.T, "stroke": ca.jacobian(model.parts[0], model.theta).T}
         outputs["giving"] = ca.vec(ca.jacobian(ca.vertcat(model.parts, slopes), model.theta)[:, GIVING])
-        arguments = [model.q, model.F, model.w, model.theta, belt]
+        arguments = [model.q, model.F, model.w, sway, model.theta, belt]
         known = {name: ca.substitute(ca.densify(o), friction, self.cell.wheel.friction) for name, o in outputs.items()}
         return {name: ColumnFunction(ca.Function(f"force_{name}", arguments, [o], {"cse": True})) for name, o in known.items()}
 
@@ -137,7 +147,7 @@ class ForceModel:
         if len(F) >= WORTH_COMPILING:
             self._compiled  # noqa: B018
         base = rows.base
-        return evaluate_rows(self._functions[kind], base.q, F[:, None], base.waypoint, rows.theta, base.belt[:, None])
+        return evaluate_rows(self._functions[kind], base.q, F[:, None], base.waypoint, base.sway, rows.theta, base.belt[:, None])
 
     def solve(
         self,

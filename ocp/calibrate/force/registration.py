@@ -1,18 +1,19 @@
 """The contact side of a calibration: a force log in, registrations and stiffnesses with their joint covariance out."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from ocp.calibrate.force.assessment import HeldOutForce, directions_seen, held_out_blocks, not_identified
-from ocp.calibrate.force.fit import BIAS, FIT_NAMES, ForceSolution, force_prior, solve_force_log
+from ocp.calibrate.force.fit import BIAS, FIT_NAMES, ForceSolution, force_prior, reading_of, solve_force_log
 from ocp.calibrate.force.log import Flags, ForceLog, log_mark, refuse_few_rows
 from ocp.calibrate.force.noise import GROSS
 from ocp.calibrate.force.rows import ForceSetup, prepare_force
 from ocp.model.cell import Cell
+from ocp.model.theta import believed_theta
 from robots.calibration.carried import FORCE, UPDATE, carried_over
 from robots.calibration.parameters import MDH_NAMES
 from robots.calibration.store import Calibration
@@ -23,6 +24,7 @@ RECORDINGS = "recordings"  # key of a calibration's provenance.force: the log's 
 SIGMAS = 5.0  # an innovation beyond this many is told to the user
 
 MISSED = 0.5  # of the force that presses: at two sigma wheel and blade would part
+PLACED, SAME_PLACE = 3, 0.05  # fits, and N within which the contact solved where one ended is the one that it was made with
 RUNS_APART = 0.1  # of the force asked for; 0.05 mm of an arm on a flange of 6 N/mm are 0.3 N
 
 
@@ -87,7 +89,7 @@ class ForceFit:
 
     def sd(self, J: Array, contact: Flags) -> Array:
         """One sigma (n,) N of noise-free readings whose derivatives are J (n, m); offsets of runs count where in contact."""
-        variance = np.einsum("ni,ij,nj->n", J, self.solution.covariance, J) + contact * self.solution.offset**2
+        variance = np.einsum("ni,ij,nj->n", J, self.solution.covariance, J) + contact * self.solution.allowed**2
         return np.sqrt(np.maximum(variance, 0.0))
 
     def calibration(self, robot: Calibration | None = None) -> Calibration:
@@ -127,10 +129,20 @@ def fit_force(cell: Cell, log: ForceLog, robot: Calibration | None = None, setup
     refuse_few_rows(log)
     if setup is None:
         setup = prepare_force(cell, [log])
-    rows = setup.rows[0]
     calibration = cell.calibration if robot is None else robot
     prior = force_prior(cell, robot)
-    solution = solve_force_log(setup.model, rows, log, prior)
+    joints, theta = believed_theta(replace(cell, calibration=calibration)).joint_noise, prior.mean[:BIAS]
+    for _ in range(PLACED):  # where the blade departs from the wheel's law goes with where it is
+        setup = setup.at(theta)
+        solution, rows = solve_force_log(setup.model, setup.rows[0], log, prior, joints), setup.rows[0]
+        theta = solution.x[:BIAS]
+        anew = reading_of(setup.model, setup.at(theta).rows[0], solution.x, solution.reading - solution.x[BIAS])[1]
+        off = float(np.abs(anew - solution.reading)[log.contact].max(initial=0.0))
+        if off < SAME_PLACE:
+            break
+    else:
+        told = f"{log.path.name}: the force near the blade's edges is known to {off:.2f} N: the fit moves it as it is solved anew"
+        setup = replace(setup, notices=(*setup.notices, told))
     figures = _figures(solution, log)
     known = () if calibration is None else calibration.names
     notices = (*log.notices, *setup.notices, *_notices(cell, log, solution, figures, calibration))

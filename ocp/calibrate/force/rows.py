@@ -6,7 +6,7 @@ Conditions are where along the pass a row stands, which way each axis moves, how
 
 import hashlib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ocp.calibrate.force.blade import Stations, StationsTask, SurfacePoints, points_on_surface, with_indentation_correction
 from ocp.calibrate.force.log import Flags, ForceLog, Index
-from ocp.calibrate.force.model import ForceModel, ForceRows
+from ocp.calibrate.force.model import CORRECTION, ForceModel, ForceRows
 from ocp.contact.wheel.cover import Cover
 from ocp.contact.wheel.law import WheelLaw
 from ocp.contact.wheel.law_fit import FORCE_RANGE, Domain, remembered_law
@@ -23,6 +23,7 @@ from ocp.effects.engine.symbolic import CONDITIONS
 from ocp.model.blade_gap import SurfaceCloud
 from ocp.model.cell import Cell, Workpiece, history_notices
 from ocp.model.prepare import typical_patch, wheel_cover
+from ocp.model.theta import believed_theta
 from ocp.plan.paths import surface_cloud
 from ocp.shell.cache import Entry, code_hash, content_key, flattened, rebuilt, remember
 from ocp.shell.processes import cores, interrupts_held_back, nothing, workers
@@ -155,12 +156,55 @@ KINDS = 400  # curvatures handed to the fit
 
 
 @dataclass(frozen=True)
+class PressedSurface:
+    """The cover and the surface of the blade that presses into it; the force (n,) N about which all rows of a setup stand, and by
+    how much (n,) m the wheel was larger there."""
+
+    cover: Cover
+    cloud: SurfaceCloud
+    about: Array
+    larger: Array
+
+
+@dataclass(frozen=True)
 class ForceSetup:
-    """The model of a cell and its blade that covers some logs, with the rows of each; notices in sentences."""
+    """The model of a cell and its blade that covers some logs, with the rows of each; notices in sentences; None: the model's law
+    is the surface."""
 
     model: ForceModel
     rows: tuple[ForceRows, ...]
     notices: tuple[str, ...]
+    surface: PressedSurface | None = field(default=None, repr=False)
+
+    def take(self, kept: Flags) -> "ForceSetup":
+        """The first log's rows alone, of them those `kept` (n,)."""
+        surface = self.surface
+        if surface is not None:
+            surface = replace(surface, about=surface.about[: len(kept)][kept], larger=surface.larger[: len(kept)][kept])
+        return replace(self, rows=(self.rows[0].take(kept),), surface=surface)
+
+    def with_larger(self, depth: Array) -> "ForceSetup":
+        """One log's rows in contact with a wheel that was larger by `depth` (n,) m: as if it gave so much less."""
+        waypoint, surface = self.rows[0].waypoint.copy(), self.surface
+        waypoint[:, CORRECTION] -= depth
+        if surface is not None:
+            surface = replace(surface, larger=surface.larger + depth)
+        return replace(self, rows=(replace(self.rows[0], waypoint=waypoint),), surface=surface)
+
+    def at(self, theta: Array) -> "ForceSetup":
+        """The same where parameters theta (M,) put arm, blade and wheel."""
+        if self.surface is None:
+            return self
+        s, joined = self.surface, ForceRows.joined(list(self.rows))
+        plain = joined.waypoint.copy()
+        plain[:, CORRECTION] = 0.0
+        joined = replace(joined, waypoint=plain)
+        whole = with_indentation_correction(self.model, s.cover, s.cloud, joined, s.about, theta)
+        waypoint = whole.waypoint.copy()
+        waypoint[:, CORRECTION] -= s.larger
+        whole = replace(whole, waypoint=waypoint)
+        edges = np.cumsum([0, *map(len, self.rows)]).tolist()
+        return replace(self, rows=tuple(whole.take(slice(i, j)) for i, j in pairwise(edges)))
 
 
 def prepare_force(cell: Cell, logs: Sequence[ForceLog]) -> ForceSetup:
@@ -184,15 +228,12 @@ def prepare_force(cell: Cell, logs: Sequence[ForceLog]) -> ForceSetup:
     model = _model_of(cell, law)
     compliance = np.zeros((len(touching), 3))
     compliance[touching] = stations.at(p, n, t)
-    whole = ForceRows.joined(
-        [_rows(cell, log, point, c) for log, point, c in zip(logs, points, np.split(compliance, _cuts(logs)), strict=True)]
-    )
-    whole = with_indentation_correction(model, cover, cloud, whole, _about(cell, logs, law))
-    edges = [0, *_cuts(logs).tolist(), len(whole)]
-    rows = tuple(whole.take(slice(i, j)) for i, j in pairwise(edges))
+    parts = np.split(compliance, _cuts(logs))
+    rows = tuple(_rows(cell, log, point, c) for log, point, c in zip(logs, points, parts, strict=True))
     told = history_notices(cell, "not taken out of the log")
     notices = (*told, *blade.notices, *shape.notices, *(text for point in points for text in point.notices))
-    return ForceSetup(model, rows, notices)
+    setup = ForceSetup(model, rows, notices, PressedSurface(cover, cloud, _about(cell, logs, law), np.zeros(len(touching))))
+    return setup.at(believed_theta(cell).values)
 
 
 Measured = tuple[Blade, AerofoilShape, SurfaceCloud]

@@ -36,7 +36,7 @@ from robots.pose import Array, Mask
 
 TOGETHER = 48  # variants evaluated at once
 # What columns a need of an effect stands for, where they are not called alike.
-NEEDED = {"approach": "q1_deg to q6_deg with time_s", "speed": "q1_deg to q6_deg with time_s"}
+NEEDED = dict.fromkeys(("approach", "speed"), "q1_deg to q6_deg with time_s")
 # Columns that the library-free tests see as the log has them, and as its conditions have them.
 OF_LOG = ("q", "temperature", "wheel_temperature", "run", "line", "feed", "setpoint", "belt")
 OF_CONDITIONS = ("approach", "time", "s", "travel")
@@ -123,13 +123,12 @@ class ForceChannel:
         U, s, Vt = np.linalg.svd(rows[:, 1:], full_matrices=False)
         keep = s > LEAST_DIRECTION
         place = [w.place for w in averages.whiteners]
-        far = np.full(averages.patterns.shape[2], place[0][-1])
         return System(
             residual=rows[:, 0],
             nuisance=U[:, keep] * s[keep],
             prior_sd=np.ones(int(keep.sum())),
             offset=(Vt @ fit.z[: r + o])[keep],
-            reading=np.concatenate([*place, far]),
+            reading=np.concatenate([*place, np.full(averages.patterns.shape[2], place[0][-1])]),
             picked=picked_squares(self.waves) + self.trains.picked,
         )
 
@@ -148,8 +147,8 @@ class ForceChannel:
         """So far that the contact would not hold, or that no believed contact comes near."""
         if not self.baseline.fit.rested:
             return "so that the fit of the believed contact finds no rest"
-        pressed = float(np.median(self.log.fn[self.log.contact]))
-        return "by more than a contact that holds can" if self.noise_floor > LOOSE * pressed else ""
+        loose = self.noise_floor > LOOSE * float(np.median(self.log.fn[self.log.contact]))
+        return "by more than a contact that holds can" if loose else ""
 
     @property
     def rests(self) -> bool:
@@ -162,10 +161,8 @@ class ForceChannel:
             return f"{effect.name} does not change the contact or the force readings"
         if self.problem.scene.cell.flange is None and effect.subsystem == "flange":
             return f"{effect.name}: the cell has no force flange"
-        lacking = [c for c in effect.needs if c not in self.problem.scene.conditions.given]
-        if lacking:
-            return f"force.csv has no column {', '.join(NEEDED.get(c, c) for c in lacking)}: {effect.name} cannot be seen"
-        return ""
+        lacking = ", ".join(NEEDED.get(c, c) for c in effect.needs if c not in self.problem.scene.conditions.given)
+        return f"force.csv has no column {lacking}: {effect.name} cannot be seen" if lacking else ""
 
     def variants(self, effect: Effect, joint: int, scans: Sequence[Scanned] | None = None) -> Variants:
         """Whitened columns about the current fit."""
@@ -224,9 +221,8 @@ class ForceChannel:
 
     def whiten(self, changes: Array) -> Array:
         """Whitened rows (N, m) of changes (n, k, m) N of the readings, fn first, then ft where there is one."""
-        count = len(self.averages.whiteners)
-        parts = [changes[:, i] if i < changes.shape[1] else np.zeros_like(changes[:, 0]) for i in range(count)]
-        return self.averages.rows(parts)
+        own, none = changes.shape[1], np.zeros_like(changes[:, 0])
+        return self.averages.rows([changes[:, i] if i < own else none for i in range(len(self.averages.whiteners))])
 
     def folds(self) -> list[Fold]:
         """Blocked and extrapolation folds."""
@@ -234,8 +230,7 @@ class ForceChannel:
 
     def held_out(self, fold: Fold, active: tuple[Active, ...]) -> HeldOut | None:
         """Judge `active` on a fold."""
-        after = self.fitted_with(active)
-        own = self.fit.whiteners[0].noise
+        after, own = self.fitted_with(active), self.fit.whiteners[0].noise
         return force_fold_errors((self.baseline.problem, self.baseline.fit), (after.problem, after.fit), fold, own)
 
     def fitted_with(self, active: tuple[Active, ...]) -> "ForceChannel":
@@ -249,9 +244,8 @@ class ForceChannel:
 
     def predict(self, sealed: ForceLog, active: tuple[Active, ...]) -> Sealed:
         """Baseline and corrected normal reading (n, 1) N of conditions nobody has seen, one sigma of the corrected one."""
-        after = self.fitted_with(active)
-        before, asked = (self.baseline.problem, self.baseline.fit), self.asked(sealed)
-        return predict_sealed_force(before, (after.problem, after.fit), asked, self.known)
+        base, after = self.baseline, self.fitted_with(active)
+        return predict_sealed_force((base.problem, base.fit), (after.problem, after.fit), self.asked(sealed), self.known)
 
     def asked(self, sealed: ForceLog) -> Asked:
         """Conditions made ready, once for all that asks of them. Raises BadInput: points off the blade."""
@@ -275,9 +269,14 @@ def force_channel(
     log, more = (log, ()) if read_off is None else (read_off[0], read_off[1:])
     if arm is not None:  # the force acts on an arm that bends where the readings say
         cell = replace(cell, compliant_joints=with_calibration(cell, arm).compliant_joints)
-    problem = problem_of(prepare_force(replace(cell, effects=()), [log]), cell, log, arm)
-    problem = replace(problem, notices=(*problem.notices, *more))
-    return ForceChannel(problem, fit_effects(problem), tuple(library().values()), tracker=tracker)
+    setup = prepare_force(replace(cell, effects=()), [log])
+    setup = replace(setup, notices=(*setup.notices, *more))
+    problem = problem_of(setup.at(contact_prior(cell, arm).mean[:M]), cell, log, arm)
+    fit = fit_effects(problem)
+    if cell.flange is None:  # so stiff a contact feels where the fit puts it
+        problem = replace(problem, scene=replace(problem.scene, rows=setup.at(fit.at.x[:M]).rows[0]))
+        fit = fit_effects(problem, (), fit)
+    return ForceChannel(problem, fit, tuple(library().values()), tracker=tracker)
 
 
 def problem_of(
@@ -291,8 +290,7 @@ def problem_of(
     effects, cell = [*stated, *own_friction], replace(cell, effects=())
     believed = contact_prior(cell, arm)
     known, theta = log_conditions(cell, log), believed.mean[:M]
-    given = tuple(a for a in effects if known.given.issuperset(a.effect.needs))
-    own = logged_arm(cell, theta, log.q, known)
+    given, own = tuple(a for a in effects if known.given.issuperset(a.effect.needs)), logged_arm(cell, theta, log.q, known)
     pressed = pressed_rows(setup.model, log) if pressed is None else pressed
     scene = LogScene(cell, setup.model, setup.rows[0], known, own, theta, given, pressed)
     return ForceProblem(log, scene, believed, setup.notices)
@@ -307,7 +305,7 @@ def surroundings(problem: ForceProblem) -> Surroundings:
     if clocked and cell.calibration is not None and FORCE in cell.calibration.provenance:
         breaks = np.append(breaks, first[0])  # moved since the calibration; without one it is registration
     ways = c.s[log.contact]
-    own = cell.tables.workpiece.payload if cell.tables.workpiece is not None else None
+    own = None if cell.tables.workpiece is None else cell.tables.workpiece.payload
     return Surroundings.of(
         cell.robot,
         log.q,

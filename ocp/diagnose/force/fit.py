@@ -9,12 +9,12 @@ from functools import cached_property
 
 import numpy as np
 
-from ocp.calibrate.force.fit import RunOffsets
+from ocp.calibrate.force.fit import RunOffsets, unmodelled_force
 from ocp.calibrate.force.log import ForceLog
 from ocp.calibrate.force.noise import Whitener, channel_of
 from ocp.diagnose.force.prediction import LogScene, Predicted, effect_derivatives, nuisance_derivatives, predict_forces
 from ocp.diagnose.force.prior import NuisancePrior
-from ocp.diagnose.rules import RUN_SD
+from ocp.diagnose.rules import JOINTS_REPEAT
 from ocp.effects.effect import Active, coefficients, effects_key, prior_sds, with_coefficients
 from robots.errors import Infeasible
 from robots.gauss_newton import Minimum, Rule, Valley, minimise
@@ -57,9 +57,15 @@ class ForceProblem:
     notices: tuple[str, ...] = ()
 
     @cached_property
+    def repeats(self) -> float:
+        """N, one sigma: by which the arm comes back in each recording."""
+        model, rows = self.scene.model, self.scene.rows
+        return unmodelled_force(model, rows, self.believed.mean, np.full(len(rows), model.law.process_force), JOINTS_REPEAT)
+
+    @cached_property
     def offsets(self) -> RunOffsets:
         """What recordings add."""
-        return RunOffsets.of(self.log, self.scene.shear, RUN_SD)
+        return RunOffsets.of(self.log, self.scene.shear, self.repeats)
 
     @property
     def sizes(self) -> tuple[int, int]:
@@ -75,9 +81,8 @@ class ForceProblem:
 
     def gap(self, at: Predicted, z: Array) -> Array:
         """Measured less predicted normal reading (n,) N where single runs' own offsets count as gap."""
-        r, o = self.sizes
-        shared = slice(self.offsets.runs, o)
-        return np.asarray(self.log.fn - at.fn - self.offsets.normal[:, shared] @ z[r : r + o][shared])
+        runs, (r, o) = self.offsets.runs, self.sizes
+        return np.asarray(self.log.fn - at.fn - self.offsets.normal[:, runs:] @ z[r + runs : r + o])
 
 
 @dataclass(frozen=True)
@@ -177,8 +182,8 @@ def fit_effects(problem: ForceProblem, active: tuple[Active, ...] = (), start: E
     if any(w is not old for w, old in zip(anew, point.whiteners, strict=True)):
         found = _settled(replace(point, whiteners=anew))
         point = found.at
-    z, at, whiteners = point.z, point.at, point.whiteners
-    fit = EffectFit(**vars(linear(problem, z, at, whiteners)), z=z, at=at, whiteners=whiteners, rested=found.rested)
+    z, at, white = point.z, point.at, point.whiteners
+    fit = EffectFit(**vars(linear(problem, z, at, white)), z=z, at=at, whiteners=white, rested=found.rested)
     covariance = np.linalg.inv(fit.information)[r + o :, r + o :] * np.outer(scale, scale)
     return replace(fit, at=replace(at, active=with_coefficients(at.active, coefficients(at.active), covariance)))
 

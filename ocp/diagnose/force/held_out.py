@@ -21,7 +21,7 @@ from ocp.calibrate.force.rows import log_conditions, prepare_force
 from ocp.diagnose.engine.channel_system import Fold, HeldOut, Predictable, Sealed, is_outlier, predictable
 from ocp.diagnose.force.fit import EffectFit, ForceProblem, fit_effects, linear_normal, units_of
 from ocp.diagnose.force.prediction import LogScene, Predicted, predict_forces
-from ocp.diagnose.rules import FOLD_PARTS, FOLD_PIECE, FOLD_REST, FOLD_ROWS, RUN_SD
+from ocp.diagnose.rules import FOLD_PARTS, FOLD_PIECE, FOLD_REST, FOLD_ROWS
 from ocp.effects.effect import Active, Effect, coefficients, prior_sds, with_coefficients
 from robots.errors import Infeasible
 from robots.pose import Array, Index, Mask
@@ -134,7 +134,7 @@ class Asked:
     def of(log: ForceLog, scene: LogScene, sealed: ForceLog) -> "Asked":
         """The scene of conditions; what the cell states and they say nothing of is left out. Raises BadInput: points off the
         blade."""
-        setup = prepare_force(scene.cell, [log, sealed])
+        setup = prepare_force(scene.cell, [log, sealed]).at(scene.theta)
         known = log_conditions(scene.cell, sealed, 0.0 if sealed.clock is not None else float(scene.conditions.clock.max()))
         told = predictable(scene.given, lambda effect: known.given.issuperset(effect.needs)).known
         there = replace(scene, model=setup.model, given=told).over(setup.rows[1], known)
@@ -205,7 +205,7 @@ def _sigma(problem: ForceProblem, there: LogScene, covariance: Array, at: Predic
     r, o = problem.sizes
     J = linear_normal(problem, there, at)
     keep = np.r_[np.arange(r), r + o + shown]
-    variance = np.sum(J @ covariance[np.ix_(keep, keep)] * J, axis=1) + (RUN_SD**2 + more) * there.rows.contact
+    variance = np.sum(J @ covariance[np.ix_(keep, keep)] * J, axis=1) + (problem.repeats**2 + more) * there.rows.contact
     return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
 
 

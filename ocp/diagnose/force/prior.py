@@ -60,13 +60,12 @@ def contact_prior(cell: Cell, arm: Calibration | None = None) -> NuisancePrior:
         small["flange_stiffness"] = rules.STIFFNESS_SD * cell.flange.stiffness
     for name, sd in small.items():
         i = FIT_NAMES.index(name)
-        if name not in known:
-            covariance[i, i] = sd**2
+        covariance[i, i] = sd**2 + (covariance[i, i] if name in known else 0.0)
     whole = np.zeros((len(NUISANCE), len(NUISANCE)))
     whole[: BIAS + 1, : BIAS + 1] = covariance
     whole[SHEAR_GAIN, SHEAR_GAIN], whole[SHEAR_BIAS, SHEAR_BIAS] = rules.SHEAR_GAIN_SD**2, rules.SHEAR_BIAS_SD**2
-    mean = np.concatenate([prior.mean, np.zeros(len(EXTRA))])
-    return NuisancePrior(mean, covariance_root(whole), None if calibration is None else calibration.joint_noise)
+    noise = None if calibration is None else calibration.joint_noise
+    return NuisancePrior(np.concatenate([prior.mean, np.zeros(len(EXTRA))]), covariance_root(whole), noise)
 
 
 def arm_with_effects(tracker: TrackerChannel, active: Sequence[Active]) -> Calibration:
