@@ -84,8 +84,9 @@ TABLES: dict[str, tuple[Columns, ...]] = {
     ),
     "removal.csv": (
         _DEPTH_PLACE,
-        Columns(("removal_um",), True, "depth taken off by what the force log holds", "18.5"),
+        Columns(("removal_um",), True, "depth taken off by what the force log holds until then", "18.5"),
         Columns(("sd_um",), True, "its one sigma, above 0", "0.5"),
+        Columns(("clock_s",), False, "the log's clock when it was measured; absent: after all that the log holds", "620.0"),
     ),
     "stock.csv": (_DEPTH_PLACE, Columns(("depth_um",), True, "depth to take off", "20.0")),
     "plan.csv": (

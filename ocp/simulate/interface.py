@@ -155,7 +155,7 @@ def _grind(wanted: AskedRun, cell: Cell, truth: Truth, program: KrlProgram, fold
         rehearsal = rehearse(machine, matched, campaign.first, frames.tool, frames.base)
         grinding = {track.places[k] for k in np.unique(track.motion[matched.phase == GRINDING])}
         missed = missed_parts(program, cell.robot, grinding)
-        depth = ground_depth(blade, campaign.patches, campaign.touched, cell.process)
+        depth = ground_depth(blade, campaign.patches, campaign.touched, cell.process, cell.wheel.belt_speed)
     return _Ground(folder, program, track, machine, campaign, rehearsal, missed, travel, depth)
 
 
@@ -195,10 +195,10 @@ def _write(
         return 0
     shutil.copyfile(ground.folder / "plan.csv", out / "plan.csv")
     rows = write_force(out, ground.campaign.recorded, ground.campaign.sealed)
-    process = cell.process
-    metres = truth.preston * abs(cell.wheel.belt_speed) * process.force / (process.feed * process.pass_spacing)
+    metres = truth.preston * abs(cell.wheel.belt_speed) * ground.depth.unit
     places, removal = measured_depth(ground.depth, metres, np.random.default_rng([wanted.seed, 0x31]))
-    write_removal(out, places, removal, INSTRUMENT)
+    over = float(ground.campaign.first.moments.campaign_time().max()) + 1.0  # before the blade is ground again
+    write_removal(out, places, removal, INSTRUMENT, over)
     if wanted.joints:
         _write_joints(out / "joints.csv", wanted, ground)
     words = MACHINES[wanted.machine].format(seed=wanted.seed)

@@ -17,7 +17,6 @@ from scipy.special import chdtrc
 from ocp.calibrate.force.assessment import DOES
 from ocp.calibrate.force.fit import BIAS, BIAS_SD, FIT_NAMES, ForceSolution, force_prior, offset_columns, surprise
 from ocp.calibrate.force.log import ForceLog
-from ocp.calibrate.force.model import ForceModel, ForceRows, PlacedRows
 from ocp.model.cell import Cell
 from ocp.model.theta import BLOCKS, believed_theta
 from robots.calibration.store import Calibration
@@ -180,15 +179,6 @@ def moved_zero(solution: ForceSolution, log: ForceLog) -> float | None:
         return None
     scatter = float(np.median(solution.channel.sigma()[air]) ** 2) * MEDIAN_LOSES / solution.channel.independent(contact=False)
     return float(np.median(log.fn[air]) - solution.prior.mean[BIAS]) / float(np.sqrt(known + scatter))
-
-
-def unmodelled_force(model: ForceModel, rows: ForceRows, solution: ForceSolution, joint_noise: float) -> float:
-    """One sigma N, rms over the rows in contact, of what gears do beside the model: the least that runs differ by."""
-    at = np.flatnonzero(rows.contact)
-    force = np.maximum(solution.reading[at] - solution.x[BIAS], model.least_force)
-    by = model.evaluate("derivative", PlacedRows.of(model.cell, rows.take(at), solution.x[:BIAS]), force)
-    slopes = by[:, -6:] / by[:, :1]
-    return float(joint_noise * np.sqrt(np.mean(np.sum(slopes**2, axis=1))))
 
 
 def mean_slope(solution: ForceSolution, log: ForceLog, name: str) -> float:

@@ -27,13 +27,15 @@ ENTRIES = (
 @dataclass(frozen=True)
 class History:
     """ends: running time s of the wheel where the last log ended, holds: that which the state is for, both None before the first
-    update; offset s: running time over the logs' clock; logs: `log_mark` of the logs used; columns: lists by name of ENTRIES."""
+    update; offset s: running time over the logs' clock; logs: `log_mark` of the logs used; columns: lists by name of ENTRIES;
+    stated: Preston's coefficient and its sd, 1/Pa, in the cell of the first update, zero where it had none."""
 
     ends: float | None = None
     holds: float | None = None
     offset: float = 0.0
     logs: tuple[str, ...] = ()
     columns: dict[str, tuple[float, ...]] = field(default_factory=lambda: dict.fromkeys(ENTRIES, ()))
+    stated: tuple[float, float] = (0.0, 0.0)
 
     def __len__(self) -> int:
         return len(self.columns["clock_s"])
@@ -41,12 +43,18 @@ class History:
     def grown(self, clock: tuple[float, float, float], log: str, entry: dict[str, float]) -> "History":
         """With one more update (clock: ends, holds, offset); the oldest goes where there are MOST."""
         columns = {name: (*self.columns[name], float(entry[name]))[-MOST:] for name in ENTRIES}
-        return History(*clock, logs=(*self.logs, log)[-MOST:], columns=columns)
+        return History(*clock, logs=(*self.logs, log)[-MOST:], columns=columns, stated=self.stated)
 
     def table(self) -> dict[str, Any]:
         """As a calibration's provenance holds it."""
         known = {name: [round(x, 9) for x in values] for name, values in self.columns.items()}
-        return {"ends_s": self.ends, "holds_s": self.holds, "offset_s": self.offset, "logs": list(self.logs), "history": known}
+        return {
+            "ends_s": self.ends,
+            "holds_s": self.holds,
+            "offset_s": self.offset,
+            "logs": list(self.logs),
+            "history": known,
+        } | {"stated_preston": list(self.stated)}
 
 
 def history_of(calibration: Calibration | None, path: Path) -> History:
@@ -69,7 +77,10 @@ def history_of(calibration: Calibration | None, path: Path) -> History:
         )
     whole = {name: tuple(float(x) for x in values) for name, values in read.items() if values is not None}
     assert isinstance(logs, list)
-    return History(float(clocks[0]), float(clocks[1]), float(clocks[2]), tuple(logs), whole)
+    stated = table.get("stated_preston")
+    known_before = isinstance(stated, list) and len(stated) == 2 and all(is_number(x) for x in stated)
+    before = (float(stated[0]), float(stated[1])) if known_before and isinstance(stated, list) else (0.0, 0.0)
+    return History(float(clocks[0]), float(clocks[1]), float(clocks[2]), tuple(logs), whole, before)
 
 
 def is_number(value: Any) -> bool:

@@ -11,8 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ocp.calibrate.force.blade import CORRECTION
-from ocp.calibrate.force.fit import BIAS
+from ocp.calibrate.force.fit import BIAS, unmodelled_force
 from ocp.calibrate.force.log import ForceLog, is_known, log_mark, steady_rows, without_ramps
 from ocp.calibrate.force.registration import RECORDINGS, ForceFit, fit_force, refuse_other_force
 from ocp.calibrate.force.rows import ForceSetup, prepare_force
@@ -34,12 +33,21 @@ from ocp.update.drift import (
     force_spread,
     last_state,
     mean_slope,
-    unmodelled_force,
     verdict_on,
 )
 from ocp.update.history import History, history_of, is_number, running_time, usual_way
 from ocp.update.pattern import PatternFit, fit_pattern, ground_log
-from ocp.update.removal import UNIT, MeasuredDepths, Preston, joined_preston, less_sure, on_blade, read_removal
+from ocp.update.removal import (
+    UNIT,
+    MeasuredDepths,
+    Preston,
+    ground_by_then,
+    joined_preston,
+    less_sure,
+    on_blade,
+    read_removal,
+    with_shared_errors,
+)
 from robots.calibration.carried import FORCE, UPDATE
 from robots.calibration.store import Calibration, write_calibration
 from robots.errors import BadInput, Infeasible, shown
@@ -197,6 +205,8 @@ def update(
         if "flange" in parts and believed.flange is None:
             raise BadInput(f"--changed flange: {cell_file} has no [force_flange]; leave it out")
         history = history_of(believed.calibration, cell_file)
+        if history.holds is None:
+            history = replace(history, stated=(believed.process.preston or 0.0, believed.process.preston_sd or 0.0))
         mark = log_mark(without_ramps(log, believed.flange is not None))
         if is_known(mark, history.logs) or sha256(log_file) in history.logs:
             raise BadInput(f"{log_file}: an earlier update used recordings of this log; give the log of the blade ground since")
@@ -239,7 +249,7 @@ def updated(
     expected = carried_on(before, since, int(history.holds is None), wheel.stood)
     flange = cell.flange is not None
     kept = steady_rows(log, flange)
-    still = replace(setup, rows=(setup.rows[0].take(kept),))
+    still = setup.take(kept)
     fit, *verdicts = _fitted(cell, without_ramps(log, flange), still, expected, (now - clock)[kept])
     verdict = verdicts[-1]
     if not verdict.possible:
@@ -248,8 +258,13 @@ def updated(
     found = fit.calibration(expected)
     preston, told = _known_preston(cell, wheel.contact, "belt" in parts), None
     if removal is not None:
-        ground = ground_log(cell, setup.model, setup.rows[0], log, kept, fit.solution)
+        over = ground_by_then(removal, log)
+        ground = ground_log(cell, setup.model, setup.rows[0], log, kept, fit.solution, over)
         told = fit_pattern(ground, found, fit.solution.x[:BIAS], removal, *on_blade(cell, removal))
+        pressed = over & log.contact
+        force, sd = fit.solution.reading - fit.solution.x[BIAS], fit.predicted[1]
+        unsure = float(np.median(sd[fit.log.contact]) / np.median(force[fit.log.contact]))
+        told = replace(told, preston=with_shared_errors(removal, told.preston, len(np.unique(log.run[pressed])), unsure))
         found, preston = told.calibration, joined_preston(preston, told.preston)
     # The first one as if the next blade followed at once.
     ahead = now + (usual_way((*history.columns["clock_s"], now)) or float(clock.max() + 0.5 * np.ptp(clock) - now))
@@ -308,15 +323,13 @@ def _fitted(
     before = abs(_force_figures(expected).get("run_offset", 0.0))
     rate, verdicts = expected.values[expected.names.index(WEAR)], list[Verdict]()
     for _ in range(2):
-        rows = setup.rows[0]
-        waypoint = rows.waypoint.copy()
-        waypoint[:, CORRECTION] -= rate * earlier * rows.contact  # before that moment there was more wheel, as if it gave less
-        worn = replace(setup, rows=(replace(rows, waypoint=waypoint),))
+        worn = setup.with_larger(rate * earlier * setup.rows[0].contact)  # before that moment there was more wheel
         fit = fit_force(replace(cell, calibration=None), log, expected, worn)
-        usual = max(unmodelled_force(setup.model, worn.rows[0], fit.solution, noise), before)
+        found, force = fit.solution, fit.solution.reading - fit.solution.x[BIAS]
+        usual = max(unmodelled_force(setup.model, fit.setup.rows[0], found.x, force, noise), before)
         verdicts.append(verdict_on(fit.solution, log, usual))
-        found = fit.calibration(expected)
-        change, rate = found.values[found.names.index(WEAR)] - rate, found.values[found.names.index(WEAR)]
+        state = fit.calibration(expected)
+        change, rate = state.values[state.names.index(WEAR)] - rate, state.values[state.names.index(WEAR)]
         if not verdicts[-1].possible or abs(change) * np.ptp(earlier) < SAME_WEAR:
             break
     return fit, verdicts[0], verdicts[-1]

@@ -254,10 +254,14 @@ class _Place:
         return replace(self, z=self.z + change, seen=self.depths.pattern(self.z + change))
 
 
-def ground_log(cell: Cell, model: ForceModel, rows: ForceRows, log: ForceLog, kept: Flags, solution: ForceSolution) -> GroundLog:
-    """What ground in a whole log, of which the rows `kept` (n,) were fitted: force as the fit has it there, else as measured."""
+def ground_log(
+    cell: Cell, model: ForceModel, rows: ForceRows, log: ForceLog, kept: Flags, solution: ForceSolution, over: Flags
+) -> GroundLog:
+    """What ground in a whole log, of which the rows `kept` (n,) were fitted: force as the fit has it there, else as measured;
+    of the rows `over` (n,) alone, those before the depths were measured."""
     force = log.fn - solution.x[BIAS]
     force[kept] = solution.reading - solution.x[BIAS]
+    force[~over] = 0.0
     assert cell.workpiece.stl is not None
     cloud = measured_blade(cell.workpiece.stl, cell.workpiece)[2]
     return GroundLog(model, rows, log, np.maximum(force, 0.0), wheel_cover(model.cell), cloud)

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ocp.calibrate.force.log import Flags
+from ocp.calibrate.force.log import Flags, ForceLog
 from ocp.calibrate.force.rows import measured_blade
 from ocp.model.cell import Cell
 from robots.csv_table import read_csv_table
@@ -25,6 +25,8 @@ GROUND = 0.1  # of the largest expected depth: below it a point counts as not gr
 LEAST_DEPTHS = 3  # that were ground: fewer do not show how far they scatter
 GROWN = 5.0  # sigmas by which no depth may be negative: grinding adds nothing
 HOURLY = 0.2  # of the coefficient, one sigma per root of an hour in contact: a belt lasts about one and cuts less and less
+COPIES = 0.2  # of the depths, from which a table of copies tells more than was measured
+USUAL = 1e-13, 1e-9  # 1/Pa; a coefficient of depths in another unit lies outside
 CERTAIN = 3.0  # sigmas from zero below which no coefficient is written
 APART = 4.0  # sigmas from which two coefficients are not the same
 NEW_BELT = 0.5  # of the coefficient, one sigma, after another belt was put on
@@ -32,13 +34,15 @@ NEW_BELT = 0.5  # of the coefficient, one sigma, after another belt was put on
 
 @dataclass(frozen=True)
 class MeasuredDepths(Stacked):
-    """n depths measured on a blade: p (n, 3) m blade frame, depth (n,) m, sd (n,) m; line (n,) in the file."""
+    """n depths measured on a blade: p (n, 3) m blade frame, depth (n,) m, sd (n,) m; line (n,) in the file; clock s: when, on the
+    wheel's clock, None where that is not told: after all that the log holds."""
 
     path: Path
     p: Array
     depth: Array
     sd: Array
     line: NDArray[np.int64]
+    clock: float | None = None
 
 
 @dataclass(frozen=True)
@@ -59,9 +63,10 @@ class Preston:
 def read_removal(path: str | Path) -> MeasuredDepths:
     """The rows of a removal.csv (FORMATS).
 
-    Raises BadInput: as `read_csv_table`, a sigma that is not above zero, a depth below zero by more than GROWN sigmas.
+    Raises BadInput: as `read_csv_table`, a sigma that is not above zero, a depth below zero by more than GROWN sigmas, more than
+    one clock.
     """
-    table = read_csv_table(path, (*PLACES, *DEPTH))
+    table = read_csv_table(path, (*PLACES, *DEPTH), ("clock_s",))
     if not len(table):
         raise BadInput(f"{table.path}: no row; give at least one measured depth")
     sd = table.column("sd_um", 1e-6, lambda v: v <= 0, "above 0")
@@ -69,7 +74,31 @@ def read_removal(path: str | Path) -> MeasuredDepths:
     assert sd is not None
     if (bad := depth < -GROWN * sd).any():
         raise table.refuse(int(np.argmax(bad)), "removal_um", "is negative by more than its error; depths taken off are positive")
-    return MeasuredDepths(table.path, 1e-3 * table.stack(PLACES), depth, sd, np.array(table.line))
+    rows = np.column_stack([table.stack(PLACES), depth, sd])
+    _, first, count = np.unique(rows, axis=0, return_index=True, return_counts=True)
+    if len(rows) - len(first) > COPIES * len(rows):
+        raise table.refuse(
+            int(first[np.argmax(count)]), "removal_um", f"is one of {count.max()} copies of a row; give each depth once"
+        )
+    clock = table.column("clock_s", 1.0, lambda v: (v < 0) | (v != v[0]), "zero or above and the same in all rows: when measured")
+    when = None if clock is None else float(clock[0])
+    return MeasuredDepths(table.path, 1e-3 * table.stack(PLACES), depth, sd, np.array(table.line), when)
+
+
+def ground_by_then(removal: MeasuredDepths, log: ForceLog) -> Flags:
+    """Rows (n,) of a log that were over when the depths were measured. Raises BadInput: the log has no clock to tell, or begins
+    later."""
+    if removal.clock is None:
+        return np.ones(len(log), bool)
+    if log.clock is None:
+        raise BadInput(f"{log.path}: no column clock_s, by which {removal.path} tells when it was measured; leave it out of both")
+    over: Flags = log.clock <= removal.clock
+    if not (over & log.contact).any():
+        raise BadInput(
+            f"{removal.path}, column clock_s: measured at {removal.clock:g} s, before {log.path.name} grinds; give the wheel's "
+            "clock after grinding"
+        )
+    return over
 
 
 def on_blade(cell: Cell, removal: MeasuredDepths) -> tuple[Array, Array]:
@@ -105,6 +134,17 @@ def preston_from(removal: MeasuredDepths, h: Array) -> Preston:
             "measure more points or deeper cuts"
         )
     return Preston(k, sd_k, int(used.sum()), int((~used).sum()), scatter, k * x, y, used)
+
+
+def with_shared_errors(removal: MeasuredDepths, found: Preston, lines: int, force: float) -> Preston:
+    """With what is the same error for many depths: the footprint's along each of `lines`, that of the pressing force, a share, of
+    all. Raises Infeasible: a coefficient that no belt has."""
+    if not USUAL[0] < found.value < USUAL[1]:
+        raise Infeasible(
+            f"{removal.path}: Preston's coefficient would be {found.value / UNIT:.3g} um mm2/(N m); belts have "
+            f"{USUAL[0] / UNIT:g} to {USUAL[1] / UNIT:g}: give removal_um and sd_um in micrometres, of what this log ground"
+        )
+    return replace(found, sd=float(np.linalg.norm([found.sd, found.value * DEPTH_MODEL / np.sqrt(lines), found.value * force])))
 
 
 def less_sure(known: Preston, contact_seconds: float, new_belt: bool) -> Preston:

@@ -153,7 +153,11 @@ def line_of(n: int, x: float = 0.0, force: float = 20.0, twice: float = 1.0) -> 
 def test_what_is_taken_off_is_force_over_time_in_the_patch():
     """A line at F and v takes off F / v an unit of length, as a parabola 3/4 F / (v b) (1 - y^2/b^2) across."""
     patches, touched = line_of(400)
-    found = ground_depth(slab(), patches, touched, Bench().cell.process)
+    found = ground_depth(slab(), patches, touched, Bench().cell.process, 20.0)
+    asked = replace(Bench().cell.process, removal=2e-5, preston=1e-11)  # what a cell asks for is what depth is told over
+    other = ground_depth(slab(), patches, touched, asked, -20.0)
+    assert other.unit == pytest.approx(2e-5 / 1e-11 / 20.0)
+    np.testing.assert_allclose(other.made * other.unit, found.made * found.unit)
     profile = np.maximum(1 - (found.p[:, 0] / 4e-3) ** 2, 0) * (found.n[:, 1] > 0.9)
     core = np.abs(found.p[:, 2]) < 0.02
     top = np.sum(found.planned[core] * profile[core]) / np.sum(profile[core] ** 2)
@@ -163,7 +167,7 @@ def test_what_is_taken_off_is_force_over_time_in_the_patch():
     assert (found.planned[found.n[:, 1] < 0.9] == 0).all()  # the other side is as near as the patch is wide
     assert np.abs(found.p[found.asked, 2]).max() <= 0.03 and found.asked.any() and not found.core.any()
     # Twice the force: twice the volume, on a patch that is 2^(1/3) times as wide.
-    hard = ground_depth(slab(), *line_of(400, twice=2.0), Bench().cell.process)
+    hard = ground_depth(slab(), *line_of(400, twice=2.0), Bench().cell.process, 20.0)
     assert hard.made @ hard.area == pytest.approx(2 * (hard.planned @ hard.area), rel=0.02)
     assert hard.made.max() == pytest.approx(2 ** (2 / 3) * hard.planned.max(), rel=0.05)
 
@@ -173,7 +177,7 @@ def test_a_wheel_that_stands_still_grinds_deeper_and_lost_contact_less():
     mean = touched.mean.copy()
     mean[:5] *= 20.0
     mean[190:210] = 0.0
-    found = ground_depth(slab(), patches, replace(touched, mean=mean), Bench().cell.process)
+    found = ground_depth(slab(), patches, replace(touched, mean=mean), Bench().cell.process, 20.0)
     middle = (np.abs(found.p[:, 0]) < 1e-3) & (found.n[:, 1] > 0.9)
     end, gap = middle & (np.abs(found.p[:, 2] + 0.0285) < 1e-3), middle & (np.abs(found.p[:, 2]) < 1e-3)
     change = found.made / np.maximum(found.planned, 1e-9)

@@ -1,6 +1,9 @@
 """Preston's coefficient from measured depths: the fit, the doubt that grows without it."""
 
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,10 +14,12 @@ from ocp.update.removal import (
     UNIT,
     MeasuredDepths,
     Preston,
+    ground_by_then,
     joined_preston,
     less_sure,
     preston_from,
     read_removal,
+    with_shared_errors,
 )
 from robots.errors import BadInput, Infeasible
 
@@ -66,6 +71,33 @@ def test_measurements_are_weighed_and_contradictions_said():
         joined_preston(known, Preston(16 * UNIT, 0.05e-11))
 
 
+def test_what_many_depths_share_does_not_average_out():
+    """A footprint that is off is so all along a line, a force everywhere."""
+    found = with_shared_errors(measured(np.zeros(3)), Preston(1e-11, 1e-14, 500), 2, 0.01)
+    assert found.sd / found.value == pytest.approx(np.linalg.norm([1e-3, DEPTH_MODEL / np.sqrt(2), 0.01]))
+    for other in (1e-3, 1e3):  # depths in millimetres, in nanometres
+        with pytest.raises(Infeasible, match="give removal_um and sd_um in micrometres"):
+            with_shared_errors(measured(np.zeros(3)), Preston(1e-11 * other, 1e-14 * other, 500), 2, 0.01)
+
+
+class Log(SimpleNamespace):
+    def __len__(self) -> int:
+        return len(self.contact)
+
+
+def test_what_is_ground_after_the_measurement_is_not_in_it():
+    log: Any = Log(path=Path("force.csv"), clock=np.array([0.0, 10.0, 20.0, 250.0]), contact=np.ones(4, bool))
+    then = replace(measured(np.full(3, 2e-5)), clock=20.0)
+    assert ground_by_then(then, log).tolist() == [True, True, True, False]
+    assert ground_by_then(replace(then, clock=None), log).all()
+    log.clock = log.clock + 100.0
+    with pytest.raises(BadInput, match=r"column clock_s: measured at 20 s, before force.csv grinds"):
+        ground_by_then(then, log)
+    log.clock = None
+    with pytest.raises(BadInput, match="no column clock_s"):
+        ground_by_then(then, log)
+
+
 HEAD = "px_mm,py_mm,pz_mm,removal_um,sd_um\n"
 
 
@@ -77,9 +109,19 @@ HEAD = "px_mm,py_mm,pz_mm,removal_um,sd_um\n"
         ("1,2,3,20,1\n1,2,3,-20,1\n", "line 3, column removal_um: .*negative by more than its error"),
         ("1,2,3,deep,1\n", "line 2, column removal_um: 'deep'"),
         ("1,2,3,nan,1\n", "line 2, column removal_um"),
+        ("1,2,3,9,1\n1,2,4,9,1\n1,2,4,9,1\n", "line 3, column removal_um: .*one of 2 copies of a row"),
     ],
 )
 def test_faulty_depths_are_refused_in_one_sentence(tmp_path, rows, said):
     (tmp_path / "removal.csv").write_text(HEAD + rows)
     with pytest.raises(BadInput, match=said):
         read_removal(tmp_path / "removal.csv")
+
+
+def test_depths_have_one_clock(tmp_path):
+    path, head = tmp_path / "removal.csv", HEAD.replace("sd_um", "sd_um,clock_s")
+    path.write_text(head + "1,2,3,9,1,620\n1,2,4,9,1,620\n")
+    assert read_removal(path).clock == 620.0
+    path.write_text(head + "1,2,3,9,1,620\n1,2,4,9,1,630\n")
+    with pytest.raises(BadInput, match="line 3, column clock_s: 630 must be zero or above and the same in all rows"):
+        read_removal(path)

@@ -126,12 +126,11 @@ def write_force(folder: Path, recordings: Sequence[GroundPasses], sealed: Sequen
     return len(rows)
 
 
-def write_removal(folder: Path, p: Array, depth: Array, sd: float) -> None:
-    """removal.csv: depths (k,) m measured at places p (k, 3) m of the blade, one sigma m."""
-    rows = [
-        [*(f"{1e3 * v:.4f}" for v in place), f"{1e6 * one:.3f}", f"{1e6 * sd:.3f}"] for place, one in zip(p, depth, strict=True)
-    ]
-    write_csv(folder / "removal.csv", ("px_mm", "py_mm", "pz_mm", "removal_um", "sd_um"), rows)
+def write_removal(folder: Path, p: Array, depth: Array, sd: float, clock: float) -> None:
+    """removal.csv: depths (k,) m measured at places p (k, 3) m of the blade, one sigma m, when the campaign's clock showed s."""
+    told = f"{1e6 * sd:.3f}", f"{clock:.1f}"
+    rows = [[*(f"{1e3 * v:.4f}" for v in place), f"{1e6 * one:.3f}", *told] for place, one in zip(p, depth, strict=True)]
+    write_csv(folder / "removal.csv", ("px_mm", "py_mm", "pz_mm", "removal_um", "sd_um", "clock_s"), rows)
 
 
 def write_sealed_force(folder: Path, rows: Sequence[Sequence[str]]) -> None:

@@ -156,7 +156,8 @@ POINTS, INSTRUMENT = 600, 1e-6  # places where depth is measured, and one sigma 
 
 @dataclass(frozen=True)
 class GroundDepth:
-    """Depth on pieces of the blade's surface over what even lines at the cell's spacing, feed and force take: p, n (m, 3), area
+    """Depth on pieces of the blade's surface over `unit` N s/m^2: what even lines at the cell's spacing, feed and force take, or
+    what the removal that the cell asks for takes by the coefficient that it believes. p, n (m, 3), area
     (m,) m^2; planned (m,): by the plan's forces, made (m,): by this machine's; asked, core (m,): within half a line's spacing of
     a pass; of these between lines and a patch inside the ends."""
 
@@ -167,6 +168,7 @@ class GroundDepth:
     made: Array
     asked: NDArray[np.bool_]
     core: NDArray[np.bool_]
+    unit: float
 
     def at(self, p: Array, n: Array) -> Array:
         """Depth that the machine takes at places p (k, 3) whose outward normals are n (k, 3): that of the nearest piece."""
@@ -203,15 +205,17 @@ def measured_depth(depth: GroundDepth, metres: float, rng: np.random.Generator) 
     return depth.p[at], metres * depth.made[at] + INSTRUMENT * rng.normal(size=len(at))
 
 
-def ground_depth(blade: Blade, patches: ContactPatches, t: Touching, process: Process) -> GroundDepth:
+def ground_depth(blade: Blade, patches: ContactPatches, t: Touching, process: Process, belt_speed: float) -> GroundDepth:
     """Lay down what plan and machine press; patches: of the samples of `t`."""
     p, n, area = _pieces(blade)
     lies = t.windows.plan.run == t.windows.run
     plan = np.where(lies, t.windows.plan.force, 0.0)
     planned, made = (_laid(p, n, patches, force, t.dt, process.force) for force in (plan, t.mean))
     asked, core = _asked(p, n, patches, t)
-    wanted = process.force / (process.feed * process.pass_spacing)
-    return GroundDepth(p, n, area, planned / wanted, made / wanted, asked, core)
+    unit = process.force / (process.feed * process.pass_spacing)
+    if process.removal is not None and process.preston is not None and belt_speed:
+        unit = process.removal / (process.preston * abs(belt_speed))
+    return GroundDepth(p, n, area, planned / unit, made / unit, asked, core, unit)
 
 
 def _pieces(blade: Blade) -> tuple[Array, Array, Array]:

@@ -205,8 +205,9 @@ def draw_truth(
     piece, wheel = cell.workpiece, cell.wheel
     unit, axis = _normal(rng["wheel"], 6) * size, wheel.axis
     held = _normal(rng["blade"], 6) * size
-    belt = cell.process.preston or USUAL_PRESTON
-    belt_sd = PRESTON_SD * belt if cell.process.preston_sd is None else cell.process.preston_sd
+    belt, belt_sd = _stated_preston(cell)
+    belt = belt or USUAL_PRESTON
+    belt_sd = belt_sd or PRESTON_SD * belt
     factor = np.maximum(1 + size * _normal(rng["factors"], 3) * [COVER_SD, BLADE_SD, FLANGE_SD], 0.3)
     ripple = rng["ripple"].uniform(0, 1, (6, 3)) * [RIPPLE * size, 1.0, 2 * np.pi]
     ripple[:, 1] = rng["ripple"].integers(*RIPPLE_ORDERS, 6)
@@ -230,6 +231,16 @@ def draw_truth(
         preston=max(belt + size * float(_normal(rng["belt"], 1)[0]) * belt_sd, 0.1 * belt),
         outliers=OUTLIERS,
     )
+
+
+def _stated_preston(cell: Cell) -> tuple[float, float]:
+    """Preston's coefficient and its sd as whoever wrote the cell has them, zero where untold: what an update found of the belt is
+    no part of the machine."""
+    known = getattr(cell.calibration, "provenance", {}).get("update")
+    if known is None:
+        return cell.process.preston or 0.0, cell.process.preston_sd or 0.0
+    stated = known.get("stated_preston", [0.0, 0.0])
+    return float(stated[0]), float(stated[1])
 
 
 def _normal(rng: np.random.Generator, shape: int | tuple[int, ...]) -> Array:
