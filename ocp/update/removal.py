@@ -18,7 +18,7 @@ from robots.errors import BadInput, Infeasible
 from robots.pose import Array, Stacked
 from trajectories.path_points import feet_on_blade
 
-PLACES, DEPTH = ("px_mm", "py_mm", "pz_mm"), ("removal_um", "sd_um")
+PLACES, DEPTH, OPTIONAL = ("px_mm", "py_mm", "pz_mm"), ("removal_um", "sd_um"), ("clock_s",)
 UNIT = 1e-12  # 1/Pa: one um mm^2 / (N m)
 DEPTH_MODEL = 0.05  # of a depth, one sigma: what the footprint's shape is off by where points lie on its flank
 GROUND = 0.1  # of the largest expected depth: below it a point counts as not ground by this log
@@ -66,7 +66,7 @@ def read_removal(path: str | Path) -> MeasuredDepths:
     Raises BadInput: as `read_csv_table`, a sigma that is not above zero, a depth below zero by more than GROWN sigmas, more than
     one clock.
     """
-    table = read_csv_table(path, (*PLACES, *DEPTH), ("clock_s",))
+    table = read_csv_table(path, (*PLACES, *DEPTH), OPTIONAL)
     if not len(table):
         raise BadInput(f"{table.path}: no row; give at least one measured depth")
     sd = table.column("sd_um", 1e-6, lambda v: v <= 0, "above 0")

@@ -27,7 +27,7 @@ READERS = {
     "force.csv": (("run", "time_s", *force.AXES, *force.POINT, *force.NORMAL, *force.FEED, "fn_N"), force.OPTIONAL),
     "joints.csv": (("run", "time_s", *joints.AXES), (*joints.LINK, *joints.TORQUE, *joints.SPEED)),
     "path.csv": (path_points.NEEDED, path_points.OPTIONAL),
-    "removal.csv": ((*removal.PLACES, *removal.DEPTH), ()),
+    "removal.csv": ((*removal.PLACES, *removal.DEPTH), removal.OPTIONAL),
     "stock.csv": (wanted.COLUMNS, ()),
 }
 
