@@ -78,8 +78,8 @@ def history_of(calibration: Calibration | None, path: Path) -> History:
     whole = {name: tuple(float(x) for x in values) for name, values in read.items() if values is not None}
     assert isinstance(logs, list)
     stated = table.get("stated_preston")
-    known_before = isinstance(stated, list) and len(stated) == 2 and all(is_number(x) for x in stated)
-    before = (float(stated[0]), float(stated[1])) if known_before and isinstance(stated, list) else (0.0, 0.0)
+    pair = stated if isinstance(stated, list) and len(stated) == 2 and all(is_number(x) for x in stated) else (0.0, 0.0)
+    before = float(pair[0]), float(pair[1])
     return History(float(clocks[0]), float(clocks[1]), float(clocks[2]), tuple(logs), whole, before)
 
 

@@ -379,6 +379,20 @@ def test_a_rigid_contact_departs_from_the_law_where_the_blade_sits(recorded):
         assert state[k, STATE["parts"]][1] == pytest.approx(found.indentation, abs=3e-6)
 
 
+def test_recordings_are_free_by_what_joints_do(recorded):
+    """Rms over the rows in contact of joint noise times the force's change by each joint, differenced; no log shows it here."""
+    solution, model, step = recorded.fit.solution, recorded.fit.setup.model, 1e-7
+    rows = recorded.fit.setup.rows[0].take(np.flatnonzero(recorded.log.contact))
+    moved = [
+        model.force(replace(rows, q=rows.q + step * axis), solution.x[:BIAS])
+        - model.force(replace(rows, q=rows.q - step * axis), solution.x[:BIAS])
+        for axis in np.eye(6)
+    ]
+    slopes = np.array(moved) / (2.0 * step)
+    expected = joints(recorded.world.cell) * np.sqrt(np.mean(np.sum(slopes**2, axis=0)))
+    assert solution.allowed == pytest.approx(expected, rel=0.01) and solution.offset == 0 == recorded.fit.figures.run_offset
+
+
 def test_a_wheel_that_was_larger_stays_so_where_rows_are_placed_anew(recorded):
     setup, x = recorded.setup.take(np.arange(len(recorded.log)) % 40 == 0), recorded.fit.solution.x[:BIAS]
     depth = np.linspace(0.0, 1e-4, len(setup.rows[0])) * setup.rows[0].contact

@@ -172,3 +172,14 @@ def test_an_effect_without_bounds_is_refused_in_a_short_sentence(text):
     with pytest.raises(BadInput) as error:
         parse_effect(text)
     assert len(str(error.value)) < 400
+
+
+def test_an_update_does_not_change_what_the_belt_takes_off():
+    """What it found of the belt stands in the cell, what the cell was written with in its history: that is the machine's."""
+    nothing = Calibration(ROBOT.name, (), np.zeros(0), np.zeros((0, 0)), {}, {}, ())
+    stated = replace(CELL, process=replace(CELL.process, preston=3e-11, preston_sd=None))
+    for cell, told in ((stated, [3e-11, 0.0]), (replace(CELL, process=replace(CELL.process, preston=None)), [0.0, 0.0])):
+        since = replace(nothing, provenance={"update": {"stated_preston": told}})
+        found = replace(cell, calibration=since, process=replace(cell.process, preston=5e-12, preston_sd=1e-13))
+        assert draw_truth(found, 4).preston == draw_truth(cell, 4).preston
+    assert draw_truth(stated, 4).preston > 2.0 * draw_truth(CELL, 4).preston

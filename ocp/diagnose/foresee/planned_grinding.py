@@ -48,9 +48,9 @@ def planned_force_channel(cell: Cell, log: ForceLog, effects: Iterable[Effect], 
     """
     setup = prepare_force(replace(cell, effects=()), [log])
     every = int(np.ceil(len(log) / MOST))
-    rows = np.flatnonzero(_place(log) % every == 0)
-    log = log.take(rows)
-    problem = problem_of(replace(setup, rows=(setup.rows[0].take(rows),)), cell, log, arm, log.contact)
+    kept = _place(log) % every == 0
+    log = log.take(kept)
+    problem = problem_of(setup.take(kept), cell, log, arm, log.contact)
     noise = noise_of_means(CorrelatedNoise(1.0, SHARE, LASTS), every)
     whiteners = tuple(
         _whitener(one, np.full(len(log), SIGMA) if one.sigma_fn is None else one.sigma_fn, {True: noise, False: noise}, blocks)
